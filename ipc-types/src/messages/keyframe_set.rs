@@ -1,0 +1,39 @@
+//! The pose graph of expanded images.
+
+use crate::frames::{Camera, Pose, Rotation, Vector, World};
+use crate::wire::{Stamp, stamped, wire};
+
+wire! {
+    /// The nodes of the disparity graph. Elements: one [`Keyframe`] each, newest first; the newest frame is always
+    /// among them. Valid at the newest exposure. The pixels lie in the run's image store under `image_id`.
+    KeyframeSet = "sparrowhawk/KeyframeSet/1" {
+        /// Origin.
+        stamp: Stamp,
+        /// Expanded images dropped because no pose was known for their exposure.
+        without_pose: u64,
+    }
+}
+stamped!(KeyframeSet);
+
+wire! {
+    /// One node.
+    Keyframe = "sparrowhawk/Keyframe/1" {
+        /// Name of the expanded image in the run's image store.
+        image_id: u64,
+        /// Exposure, ns of flight time.
+        exposure_ns: i64,
+        /// Camera position in the world at exposure, m.
+        position_m: [f64; 3],
+        /// Camera orientation: world from camera, `[w, x, y, z]`.
+        orientation: [f64; 4],
+    }
+}
+
+impl Keyframe {
+    /// The camera's pose, or `None` when the message holds no rotation.
+    pub fn world_from_camera(&self) -> Option<Pose<World, Camera>> {
+        let translation = Vector::from_array(self.position_m);
+        let rotation = Rotation::from_wxyz(self.orientation)?;
+        translation.is_finite().then_some(Pose { rotation, translation })
+    }
+}

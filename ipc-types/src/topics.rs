@@ -1,0 +1,189 @@
+//! The one table of topics: name, message, rate, history, depth, producers, consumers.
+//!
+//! Both drivers, the recorder and the supervisor read it; there is no other place where topics are named.
+
+use crate::messages::*;
+use crate::process::ProcessId::{self, *};
+use crate::rig::StereoRig;
+use crate::wire::{Header, Wire, schema_hash};
+
+/// A consumer of a topic.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Consumer {
+    /// Who reads.
+    pub process: ProcessId,
+    /// Whether a new message wakes the consumer.
+    pub wakes: bool,
+}
+
+const fn wakes(process: ProcessId) -> Consumer {
+    Consumer { process, wakes: true }
+}
+const fn reads(process: ProcessId) -> Consumer {
+    Consumer { process, wakes: false }
+}
+
+/// A row of the table.
+#[derive(Clone, Copy, Debug)]
+pub struct TopicInfo {
+    /// Name on the bus, in logs and in reports.
+    pub name: &'static str,
+    /// Versioned name of the header type.
+    pub header_type: &'static str,
+    /// Versioned name of the element type.
+    pub element_type: &'static str,
+    /// Nominal rate, Hz.
+    pub rate_hz: f64,
+    /// Messages a late subscriber still gets.
+    pub history: usize,
+    /// Messages a flying consumer's buffer holds; the recorder's holds [`RECORDER_DEPTH`].
+    pub depth: usize,
+    /// Whether elements are pixels: large, and logged on request only.
+    pub is_image: bool,
+    /// Who may write.
+    pub producers: &'static [ProcessId],
+    /// Who reads.
+    pub consumers: &'static [Consumer],
+}
+
+/// A topic known at compile time.
+pub trait Topic: 'static {
+    /// Fixed-size part.
+    type Header: Header;
+    /// What the slice is made of.
+    type Element: Wire;
+    /// The row of the table.
+    const INFO: TopicInfo;
+
+    /// Largest number of elements of a message.
+    fn max_elements(rig: &StereoRig) -> usize;
+
+    /// Hash of both layouts; a service with another hash is refused.
+    fn schema_hash() -> u64 {
+        schema_hash::<Self::Header, Self::Element>()
+    }
+}
+
+/// Depth of the recorder's buffers: more than a second of the fastest topic, so that a busy disk loses nothing.
+pub const RECORDER_DEPTH: usize = 128;
+/// Depth of the recorder's buffers for images.
+pub const RECORDER_IMAGE_DEPTH: usize = 8;
+
+/// Calls a macro with every topic type, e.g. to open them all.
+#[macro_export]
+macro_rules! for_each_topic {
+    ($callback:ident) => {
+        $callback!(
+            Clock, Truth, State, StereoFrames, Disparity, Expanded, Keyframes, Path, Goals, Plan, Setpoints, HealthReports
+        );
+    };
+}
+
+macro_rules! topics {
+    ($($(#[$doc:meta])* $topic:ident: $name:literal, $header:ty, [$element:ty; $max:expr], $rate:literal Hz,
+        history $history:literal, depth $depth:literal, image $image:literal,
+        from $producers:expr, to $consumers:expr;)*) => {
+        $(
+            $(#[$doc])*
+            #[derive(Clone, Copy, Debug)]
+            pub struct $topic;
+            impl Topic for $topic {
+                type Header = $header;
+                type Element = $element;
+                const INFO: TopicInfo = TopicInfo {
+                    name: $name,
+                    header_type: <$header>::TYPE_NAME,
+                    element_type: <$element>::TYPE_NAME,
+                    rate_hz: $rate,
+                    history: $history,
+                    depth: $depth,
+                    is_image: $image,
+                    producers: &$producers,
+                    consumers: &$consumers,
+                };
+                fn max_elements(rig: &StereoRig) -> usize {
+                    let max: fn(&StereoRig) -> usize = $max;
+                    max(rig)
+                }
+            }
+        )*
+        /// The table.
+        pub const TOPICS: &[TopicInfo] = &[$($topic::INFO),*];
+    };
+}
+
+const NONE: fn(&StereoRig) -> usize = |_| 0;
+
+topics! {
+    /// Flight time against host time.
+    Clock: "flight_clock", FlightClock, [u8; NONE], 100.0 Hz, history 1, depth 4, image false,
+        from [Simulator, Player], to [reads(StereoIngest), reads(Expansion), reads(Memory), reads(Planner),
+            reads(Controller), reads(Recorder), reads(Supervisor)];
+    /// Truth, for reports alone.
+    Truth: "world_truth", WorldTruth, [u8; NONE], 100.0 Hz, history 1, depth 64, image false,
+        from [Simulator], to [reads(Recorder), wakes(Supervisor)];
+    /// State estimate.
+    State: "vehicle_state", VehicleState, [u8; NONE], 100.0 Hz, history 1, depth 16, image false,
+        from [Simulator, Player], to [wakes(Memory), reads(Planner), wakes(Controller), reads(Recorder), reads(Supervisor)];
+    /// Rectified stereo pairs.
+    StereoFrames: "stereo_frame", StereoFrame, [u8; |rig| 2 * rig.pixels()], 12.5 Hz, history 1, depth 1, image true,
+        from [Simulator, Player], to [wakes(StereoIngest), reads(Recorder)];
+    /// Disparity images.
+    Disparity: "disparity_image", DisparityImage, [u16; |rig| rig.pixels()], 12.5 Hz, history 1, depth 1, image true,
+        from [StereoIngest], to [wakes(Expansion), reads(Recorder), wakes(Player)];
+    /// Configuration-space images.
+    Expanded: "expanded_image", ExpandedImage, [u16; |rig| 3 * rig.pixels()], 12.5 Hz, history 1, depth 1, image true,
+        from [Expansion], to [wakes(Memory), reads(Recorder), wakes(Player)];
+    /// The disparity graph.
+    Keyframes: "keyframe_set", KeyframeSet, [Keyframe; |_| 64], 12.5 Hz, history 1, depth 1, image false,
+        from [Memory], to [wakes(Planner), reads(Recorder), wakes(Player)];
+    /// The path flown.
+    Path: "flown_path", FlownPath, [PathPoint; |_| 512], 12.5 Hz, history 1, depth 1, image false,
+        from [Memory], to [reads(Planner), reads(Recorder)];
+    /// Goals.
+    Goals: "goal", Goal, [u8; NONE], 2.0 Hz, history 1, depth 1, image false,
+        from [Supervisor, Player], to [reads(Planner), reads(Recorder)];
+    /// Trajectories.
+    Plan: "trajectory", Trajectory, [TrajectoryPoint; |_| 256], 12.5 Hz, history 1, depth 1, image false,
+        from [Planner], to [wakes(Controller), reads(Recorder), reads(Supervisor)];
+    /// Setpoints.
+    Setpoints: "setpoint", Setpoint, [u8; NONE], 50.0 Hz, history 1, depth 1, image false,
+        from [Controller], to [reads(Simulator), reads(Recorder), reads(Supervisor)];
+    /// Heartbeats.
+    HealthReports: "health", Health, [u8; NONE], 10.0 Hz, history 1, depth 32, image false,
+        from [Simulator, Player, StereoIngest, Expansion, Memory, Planner, Controller, Recorder],
+        to [reads(Recorder), reads(Supervisor)];
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::HashSet;
+
+    #[test]
+    fn names_are_unique_and_everything_is_recorded() {
+        let names: HashSet<_> = TOPICS.iter().map(|topic| topic.name).collect();
+        assert_eq!(names.len(), TOPICS.len());
+        for topic in TOPICS {
+            assert!(topic.consumers.iter().any(|consumer| consumer.process == Recorder), "{}", topic.name);
+            assert!(!topic.producers.is_empty() && topic.depth >= 1 && topic.history <= 1);
+        }
+    }
+
+    #[test]
+    fn nothing_that_flies_reads_the_truth() {
+        for consumer in Truth::INFO.consumers {
+            assert!(matches!(consumer.process, Recorder | Supervisor), "{}", consumer.process);
+        }
+    }
+
+    #[test]
+    fn the_macro_lists_every_topic() {
+        let mut listed = 0;
+        macro_rules! count {
+            ($($topic:ident),*) => { $(let _ = $topic; listed += 1;)* };
+        }
+        crate::for_each_topic!(count);
+        assert_eq!(listed, TOPICS.len());
+    }
+}
