@@ -100,15 +100,6 @@ macro_rules! triple {
             pub fn is_finite(self) -> bool {
                 self.x.is_finite() && self.y.is_finite() && self.z.is_finite()
             }
-
-            fn vector3(self) -> Vector3<f64> {
-                Vector3::new(self.x, self.y, self.z)
-            }
-        }
-        impl<F> From<Vector3<f64>> for $name<F> {
-            fn from(v: Vector3<f64>) -> Self {
-                Self::new(v.x, v.y, v.z)
-            }
         }
     };
 }
@@ -152,7 +143,11 @@ impl<F> Vector<F> {
 
     /// Vector product.
     pub fn cross(self, other: Self) -> Self {
-        self.vector3().cross(&other.vector3()).into()
+        Self::new(
+            self.y * other.z - self.z * other.y,
+            self.z * other.x - self.x * other.z,
+            self.x * other.y - self.y * other.x,
+        )
     }
 
     /// Unit vector, or `None` when shorter than a nanometre.
@@ -310,7 +305,8 @@ impl<T, M, F> Mul<Rotation<M, F>> for Rotation<T, M> {
 impl<T, F> Mul<Vector<F>> for Rotation<T, F> {
     type Output = Vector<T>;
     fn mul(self, rhs: Vector<F>) -> Vector<T> {
-        self.quaternion.transform_vector(&rhs.vector3()).into()
+        let v = self.quaternion.transform_vector(&Vector3::new(rhs.x, rhs.y, rhs.z));
+        Vector::new(v.x, v.y, v.z)
     }
 }
 

@@ -1,1 +1,17 @@
-//! runtime
+//! Runs the pure cores of the processes, and is the one library that knows iceoryx2.
+//!
+//! A process is written once, against [`Process`] and [`Ports`], and runs under either driver:
+//!
+//! * [`ipc`]: one operating-system process each, iceoryx2 shared memory, event wake-ups, heartbeats. What flies.
+//! * [`lockstep`]: all in one thread, fixed order, seeded, with modelled latency. Repeatable to the bit.
+//!
+//! Images that must outlive their writer lie in the [`images`] store. [`run_dir`] isolates runs from each other.
+//! This crate refuses to know what the messages mean.
+
+pub mod images;
+pub mod ipc;
+pub mod lockstep;
+mod ports;
+pub mod run_dir;
+
+pub use ports::{Connect, Message, Ports, Process, Report, host_now};

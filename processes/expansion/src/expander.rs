@@ -1,0 +1,162 @@
+//! The pure core: one disparity image in, three planes out, in place.
+
+use crate::Config;
+use crate::measured::{column_keys, distance_to_unmeasured, fill_holes, near_limit};
+use crate::range_max::RangeMax;
+use crate::tables::Tables;
+use crate::window::Axis;
+use ipc_types::StereoRig;
+use ipc_types::messages::{ExpandedPlanes, UNKNOWN_FRONT};
+use ipc_types::noise::NoiseModel;
+
+/// Why an image was refused.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum ExpandError {
+    /// The image is not the rig's.
+    #[error("disparity image has {found} pixels, the rig's has {expected}")]
+    WrongSize {
+        /// Pixels received.
+        found: usize,
+        /// Pixels of the rig.
+        expected: usize,
+    },
+}
+
+/// What an expansion found.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Expansion {
+    /// Share of pixels of which nothing is known.
+    pub unknown_share: f32,
+}
+
+/// Expands the images of one rig for one vehicle. All scratch is allocated here, once.
+#[derive(Debug)]
+pub struct Expander {
+    rig: StereoRig,
+    config: Config,
+    tables: Tables,
+    rows: RangeMax,
+    columns: RangeMax,
+    row_axis: Axis,
+    column_axis: Axis,
+    filled: Vec<u16>,
+    transposed: Vec<u16>,
+    keys: Vec<u16>,
+    distance: Vec<u16>,
+}
+
+impl Expander {
+    /// Prepares tables and scratch.
+    pub fn new(rig: StereoRig, noise: &NoiseModel, config: Config) -> Self {
+        let (width, height) = (rig.width_px as usize, rig.height_px as usize);
+        let focal_px = rig.focal_px as f32;
+        let scratch = || vec![0; width * height];
+        Self {
+            tables: Tables::new(&rig, noise, &config),
+            rows: RangeMax::new(width),
+            columns: RangeMax::new(height),
+            row_axis: Axis { focal_px, centre_px: rig.cx_px as f32, length_px: width },
+            column_axis: Axis { focal_px, centre_px: rig.cy_px as f32, length_px: height },
+            filled: scratch(),
+            transposed: scratch(),
+            keys: scratch(),
+            distance: scratch(),
+            rig,
+            config,
+        }
+    }
+
+    /// Expands `disparity` (row-major, [`ipc_types::disparity`]) into `planes` (front, back, near limit).
+    ///
+    /// # Errors
+    /// Either slice is not of the rig's size; `planes` is then untouched.
+    pub fn step(&mut self, disparity: &[u16], planes: &mut [u16]) -> Result<Expansion, ExpandError> {
+        let pixels = self.rig.pixels();
+        if disparity.len() != pixels {
+            return Err(ExpandError::WrongSize { found: disparity.len(), expected: pixels });
+        }
+        if ExpandedPlanes::split(planes, pixels).is_none() {
+            return Err(ExpandError::WrongSize { found: planes.len() / 3, expected: pixels });
+        }
+        self.find_keys(disparity);
+        let (front, rest) = planes.split_at_mut(pixels);
+        let (back, near) = rest.split_at_mut(pixels);
+        self.write_near_limits(near);
+        self.inflate();
+        let mut unknown = 0_usize;
+        for ((front, back), (&key, &near)) in front.iter_mut().zip(back).zip(self.keys.iter().zip(near.iter())) {
+            (*front, *back) = match key {
+                0 => (UNKNOWN_FRONT, UNKNOWN_FRONT),
+                key => (self.tables.front(key), self.tables.back(key)),
+            };
+            unknown += usize::from(near == 0);
+        }
+        Ok(Expansion { unknown_share: unknown as f32 / pixels as f32 })
+    }
+
+    /// Fills holes and turns disparities and clear sky into keys.
+    fn find_keys(&mut self, disparity: &[u16]) {
+        let (width, height) = (self.rig.width_px as usize, self.rig.height_px as usize);
+        let longest = self.config.hole_px as usize;
+        self.filled.copy_from_slice(disparity);
+        self.filled.chunks_exact_mut(width).for_each(|row| fill_holes(row, longest));
+        transpose(&self.filled, width, &mut self.transposed);
+        let columns = self.transposed.chunks_exact_mut(height).zip(self.filled.chunks_exact_mut(height));
+        for (column, keys) in columns {
+            fill_holes(column, longest);
+            column_keys(column, &self.tables, &self.rig, &self.config.background, keys);
+        }
+        transpose(&self.filled, height, &mut self.keys);
+    }
+
+    fn write_near_limits(&mut self, near: &mut [u16]) {
+        let width = self.rig.width_px as usize;
+        distance_to_unmeasured(&self.keys, width, &mut self.distance);
+        let slope = |pixel: usize, axis: &Axis| ((pixel as f32 - axis.centre_px) / axis.focal_px).abs();
+        for (row, (near, distance)) in near.chunks_exact_mut(width).zip(self.distance.chunks_exact(width)).enumerate() {
+            let y = slope(row, &self.column_axis);
+            for (column, (near, &clear_px)) in near.iter_mut().zip(distance).enumerate() {
+                let x = slope(column, &self.row_axis).max(y);
+                *near = near_limit(&self.rig, self.config.body_radius_m, clear_px, x);
+            }
+        }
+    }
+
+    /// Replaces every key by the largest whose box covers the pixel: rows first, then columns.
+    ///
+    /// Columns work on what the rows left. That loses nothing: a larger key's window contains a smaller one's.
+    fn inflate(&mut self) {
+        let (width, height) = (self.rig.width_px as usize, self.rig.height_px as usize);
+        inflate_lines(&mut self.rows, self.row_axis, &self.tables, &mut self.keys);
+        transpose(&self.keys, width, &mut self.transposed);
+        inflate_lines(&mut self.columns, self.column_axis, &self.tables, &mut self.transposed);
+        transpose(&self.transposed, height, &mut self.keys);
+    }
+}
+
+fn inflate_lines(range_max: &mut RangeMax, axis: Axis, tables: &Tables, keys: &mut [u16]) {
+    for line in keys.chunks_exact_mut(axis.length_px) {
+        for (pixel, &key) in line.iter().enumerate() {
+            if key != 0 {
+                let (first, last) = axis.window(pixel, tables.radius_over_depth(key));
+                range_max.raise(first, last, key);
+            }
+        }
+        range_max.finish(line);
+    }
+}
+
+/// Transposes a row-major image of rows of `width`, in blocks that fit the first-level cache.
+fn transpose(from: &[u16], width: usize, to: &mut [u16]) {
+    const BLOCK: usize = 32;
+    let height = from.len() / width;
+    for top in (0..height).step_by(BLOCK) {
+        for left in (0..width).step_by(BLOCK) {
+            for column in left..(left + BLOCK).min(width) {
+                for row in top..(top + BLOCK).min(height) {
+                    to[column * height + row] = from[row * width + column];
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,64 @@
+//! The expansion process: disparity topic in, expanded topic out.
+
+use crate::Expander;
+use ipc_types::ProcessId;
+use ipc_types::time::FlightTime;
+use ipc_types::topics::{Disparity, Expanded};
+use runtime::{Connect, Message, Ports, Process, Report};
+
+/// Connects an [`Expander`] to its topics.
+#[derive(Debug)]
+pub struct ExpansionProcess {
+    expander: Expander,
+    pixels: usize,
+    radius_m: f32,
+    report: Report,
+}
+
+impl ExpansionProcess {
+    /// For a rig's images.
+    pub fn new(rig: ipc_types::StereoRig, noise: &ipc_types::noise::NoiseModel, config: crate::Config) -> Self {
+        Self {
+            expander: Expander::new(rig, noise, config),
+            pixels: rig.pixels(),
+            radius_m: config.radius_m,
+            report: Report::waiting("waiting for disparity images"),
+        }
+    }
+}
+
+impl Process for ExpansionProcess {
+    const ID: ProcessId = ProcessId::Expansion;
+
+    fn connect(&self, connect: &mut impl Connect) {
+        connect.reads::<Disparity>();
+        connect.writes::<Expanded>();
+    }
+
+    fn step<P: Ports>(&mut self, ports: &mut P) -> Report {
+        let Some(image) = ports.latest::<Disparity>() else {
+            return self.report.idle();
+        };
+        let header = *image.header();
+        let valid = FlightTime::from_nanos(header.stamp.valid_ns);
+        if image.elements().len() != self.pixels {
+            return self.report.refuse("disparity image is not of the rig's size");
+        }
+        let (expander, radius_m) = (&mut self.expander, self.radius_m);
+        ports.publish::<Expanded>(valid, 3 * self.pixels, |out, planes| {
+            // The size was checked above, so this cannot fail; were it to, nothing would be vouched for.
+            let unknown_share = match expander.step(image.elements(), planes) {
+                Ok(expansion) => expansion.unknown_share,
+                Err(_) => {
+                    planes.fill(0);
+                    1.0
+                }
+            };
+            out.width_px = header.width_px;
+            out.height_px = header.height_px;
+            out.radius_m = radius_m;
+            out.unknown_share = unknown_share;
+        });
+        self.report.worked()
+    }
+}

@@ -1,0 +1,188 @@
+//! Where a run keeps its shared state, isolated from every other run on the machine.
+//!
+//! ```text
+//! /dev/shm/sparrowhawk-<uid>/<run>/lock     held by the supervisor for as long as it lives
+//!                                 /iox/     iceoryx2's root: node and service files, event sockets
+//!                                 /images/  keyframes
+//! /dev/shm/<prefix>…                        iceoryx2's shared-memory segments of this run
+//! ```
+//!
+//! The folder and the segments lie on the same tmpfs, so that they vanish together.
+
+use rustix::fs::{FlockOperation, flock};
+use std::fs::{self, File, OpenOptions};
+use std::io;
+use std::path::{Path, PathBuf};
+use xxhash_rust::xxh3::xxh3_64;
+
+/// The file system that iceoryx2 puts its segments on.
+const SHARED_MEMORY: &str = "/dev/shm";
+/// Longest run name: with the user's number and iceoryx2's own names, event sockets stay below 108 bytes.
+pub const MAX_RUN_NAME: usize = 24;
+/// Free shared memory a run needs, bytes. iceoryx2 ends in SIGBUS when it runs out later.
+const NEEDED_BYTES: u64 = 256 << 20;
+
+/// Why a run cannot start.
+#[derive(Debug, thiserror::Error)]
+pub enum RunError {
+    /// The name cannot be part of a socket's path.
+    #[error("run name \"{name}\" must be 1 to {MAX_RUN_NAME} characters of a-z, A-Z, 0-9, '-' and '_' (it becomes part of socket paths)")]
+    BadName {
+        /// As given.
+        name: String,
+    },
+    /// The lock is held.
+    #[error("run \"{name}\" is already running (its supervisor holds {lock}); choose another name with --run")]
+    AlreadyRunning {
+        /// As given.
+        name: String,
+        /// The lock file.
+        lock: String,
+    },
+    /// The folder cannot be used.
+    #[error("cannot use {path}: {source}; shared memory must be writable by this user")]
+    Inaccessible {
+        /// What was to be used.
+        path: String,
+        /// Why not.
+        source: io::Error,
+    },
+    /// Too little shared memory.
+    #[error("{SHARED_MEMORY} has {free_mib} MiB free, a run needs {} MiB", NEEDED_BYTES >> 20)]
+    NoSpace {
+        /// Free, MiB.
+        free_mib: u64,
+    },
+}
+
+/// A run's place in shared memory.
+#[derive(Clone, Debug)]
+pub struct RunDir {
+    name: String,
+    path: PathBuf,
+}
+
+/// Proof that this process is the run's supervisor. Sweeps the run's shared memory when dropped.
+#[derive(Debug)]
+pub struct RunLock {
+    run: RunDir,
+    _lock: File,
+}
+
+impl RunDir {
+    /// Names a run without touching anything.
+    ///
+    /// # Errors
+    /// [`RunError::BadName`].
+    pub fn named(name: &str) -> Result<Self, RunError> {
+        let fits = (1..=MAX_RUN_NAME).contains(&name.len());
+        let plain = name.bytes().all(|byte| byte.is_ascii_alphanumeric() || byte == b'-' || byte == b'_');
+        if !fits || !plain {
+            return Err(RunError::BadName { name: name.to_owned() });
+        }
+        let user = rustix::process::getuid().as_raw();
+        let path = Path::new(SHARED_MEMORY).join(format!("sparrowhawk-{user}")).join(name);
+        Ok(Self { name: name.to_owned(), path })
+    }
+
+    /// The run's name.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// iceoryx2's root folder.
+    pub(crate) fn iceoryx_root(&self) -> PathBuf {
+        self.path.join("iox")
+    }
+
+    /// Folder of the image store.
+    pub fn images(&self) -> PathBuf {
+        self.path.join("images")
+    }
+
+    /// What the names of this run's shared-memory segments begin with. Ends in a delimiter, so that no run's
+    /// prefix begins another's.
+    pub(crate) fn prefix(&self) -> String {
+        format!("s{:08x}_", xxh3_64(self.path.as_os_str().as_encoded_bytes()) as u32)
+    }
+
+    /// Takes the run: locks it, clears what a dead predecessor left, and makes its folders.
+    ///
+    /// # Errors
+    /// The run is in use, shared memory is not writable, or too little of it is free.
+    pub fn take(&self) -> Result<RunLock, RunError> {
+        let inaccessible = |path: &Path| {
+            let path = path.display().to_string();
+            move |source: io::Error| RunError::Inaccessible { path, source }
+        };
+        fs::create_dir_all(&self.path).map_err(inaccessible(&self.path))?;
+        let lock_path = self.path.join("lock");
+        let lock = OpenOptions::new()
+            .create(true)
+            .truncate(false)
+            .write(true)
+            .open(&lock_path)
+            .map_err(inaccessible(&lock_path))?;
+        flock(&lock, FlockOperation::NonBlockingLockExclusive).map_err(|_| RunError::AlreadyRunning {
+            name: self.name.clone(),
+            lock: lock_path.display().to_string(),
+        })?;
+        let statistics = rustix::fs::statvfs(SHARED_MEMORY).map_err(|errno| RunError::Inaccessible {
+            path: SHARED_MEMORY.to_owned(),
+            source: errno.into(),
+        })?;
+        let free = statistics.f_bavail * statistics.f_frsize;
+        if free < NEEDED_BYTES {
+            return Err(RunError::NoSpace { free_mib: free >> 20 });
+        }
+        self.sweep();
+        for folder in [self.iceoryx_root(), self.images()] {
+            fs::create_dir_all(&folder).map_err(inaccessible(&folder))?;
+        }
+        Ok(RunLock { run: self.clone(), _lock: lock })
+    }
+
+    /// Removes everything of this run but the lock.
+    fn sweep(&self) {
+        // Absent is as good as removed.
+        let _ = fs::remove_dir_all(self.iceoryx_root());
+        let _ = fs::remove_dir_all(self.images());
+        let prefix = self.prefix();
+        for entry in fs::read_dir(SHARED_MEMORY).into_iter().flatten().flatten() {
+            if entry.file_name().as_encoded_bytes().starts_with(prefix.as_bytes()) {
+                let _ = fs::remove_file(entry.path());
+            }
+        }
+    }
+}
+
+impl Drop for RunLock {
+    fn drop(&mut self) {
+        self.run.sweep();
+        let _ = fs::remove_dir_all(&self.run.path);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_that_would_break_paths_are_refused() {
+        for name in ["", "a/b", "..", "a b", "this-name-is-far-too-long-for-a-socket"] {
+            assert!(matches!(RunDir::named(name), Err(RunError::BadName { .. })), "{name:?}");
+        }
+    }
+
+    #[test]
+    fn a_run_is_taken_once_and_leaves_nothing_behind() {
+        let run = RunDir::named(&format!("lock-test-{}", std::process::id())).expect("a good name");
+        let lock = run.take().expect("free");
+        assert!(matches!(run.take(), Err(RunError::AlreadyRunning { .. })));
+        let leftover = Path::new(SHARED_MEMORY).join(format!("{}leftover", run.prefix()));
+        fs::write(&leftover, b"x").expect("writable");
+        drop(lock);
+        assert!(!run.path.exists() && !leftover.exists());
+        drop(run.take().expect("free again"));
+    }
+}
