@@ -130,13 +130,13 @@ topics! {
         from [Simulator, Player], to [wakes(StereoIngest), reads(Recorder)];
     /// Disparity images.
     Disparity: "disparity_image", DisparityImage, [u16; |rig| rig.pixels()], 12.5 Hz, history 1, depth 1, image true,
-        from [StereoIngest], to [wakes(Expansion), reads(Recorder), wakes(Player)];
+        from [StereoIngest], to [wakes(Expansion), reads(Recorder), reads(Supervisor)];
     /// Configuration-space images.
     Expanded: "expanded_image", ExpandedImage, [u16; |rig| 3 * rig.pixels()], 12.5 Hz, history 1, depth 1, image true,
-        from [Expansion], to [wakes(Memory), reads(Recorder), wakes(Player)];
+        from [Expansion], to [wakes(Memory), reads(Recorder), reads(Supervisor)];
     /// The disparity graph.
     Keyframes: "keyframe_set", KeyframeSet, [Keyframe; |_| 64], 12.5 Hz, history 1, depth 1, image false,
-        from [Memory], to [wakes(Planner), reads(Recorder), wakes(Player)];
+        from [Memory], to [wakes(Planner), reads(Recorder), wakes(Supervisor)];
     /// The path flown.
     Path: "flown_path", FlownPath, [PathPoint; |_| 512], 12.5 Hz, history 1, depth 1, image false,
         from [Memory], to [reads(Planner), reads(Recorder)];

@@ -1,1 +1,40 @@
-//! memory
+//! Occupancy from expanded disparity images.
+//!
+//! * [`DisparityGraph`] keeps the keyframes (DROAN, Algorithm 2).
+//! * [`View`] answers what a planner asks: free, occupied, or unknown and why (eqs 3.9–3.12, Table 3.1). It is a
+//!   library type: the memory process decides what is in it, the planner asks it where its pixels lie.
+//! * [`FreeSpace`] holds the evidence of free space that no image gives: where the vehicle has been, and the home
+//!   cylinder that the operator declares.
+//!
+//! Unknown is never free. The order of keyframes does not change any answer.
+
+mod evidence;
+mod graph;
+mod process;
+mod view;
+
+pub use evidence::{FreeSpace, FreeSpaceRule};
+pub use graph::{DisparityGraph, GraphRule, Node};
+pub use process::MemoryProcess;
+pub use view::{Occupancy, Score, Unknown, View};
+
+use ipc_types::bounds::Bounds;
+use serde::{Deserialize, Serialize};
+
+/// Parameters of the memory.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Config {
+    /// Which frames become keyframes.
+    pub graph: GraphRule,
+    /// Free space beside measured surfaces.
+    pub free_space: FreeSpaceRule,
+}
+
+impl Config {
+    /// Reports values out of range.
+    pub fn check(&self, bounds: &mut Bounds) {
+        bounds.section("graph", |bounds| self.graph.check(bounds));
+        bounds.section("free_space", |bounds| self.free_space.check(bounds));
+    }
+}

@@ -1,0 +1,275 @@
+//! Files: rectified image pairs, calibrations, disparity images (16-bit PNG × 256, PFM).
+
+use image::{DynamicImage, ImageReader, Luma};
+use ipc_types::StereoRig;
+use ipc_types::bounds::Bounds;
+use ipc_types::disparity::{NO_MATCH, SCALE, decode};
+use std::collections::HashMap;
+use std::fs;
+use std::io::{self, Write};
+use std::path::Path;
+
+/// Largest file that is read whole, bytes.
+const LARGEST_FILE: u64 = 256 << 20;
+
+/// Why a file was refused. Every message names the file, what was found, and what was expected.
+#[derive(Debug, thiserror::Error)]
+pub enum PairError {
+    /// Cannot be read.
+    #[error("{path}: {source}")]
+    Io {
+        /// The file.
+        path: String,
+        /// Why.
+        source: io::Error,
+    },
+    /// Not an image that can be decoded.
+    #[error("{path}: {source}")]
+    Image {
+        /// The file.
+        path: String,
+        /// Why.
+        source: image::ImageError,
+    },
+    /// Decoded, but not what was needed.
+    #[error("{path}: {problem}")]
+    Unusable {
+        /// The file.
+        path: String,
+        /// What was found and what was expected.
+        problem: String,
+    },
+}
+
+fn unusable(path: &Path, problem: impl Into<String>) -> PairError {
+    PairError::Unusable { path: path.display().to_string(), problem: problem.into() }
+}
+
+fn io_error(path: &Path) -> impl FnOnce(io::Error) -> PairError {
+    let path = path.display().to_string();
+    move |source| PairError::Io { path, source }
+}
+
+fn read_image(path: &Path) -> Result<DynamicImage, PairError> {
+    let reader = ImageReader::open(path).map_err(io_error(path))?.with_guessed_format().map_err(io_error(path))?;
+    reader.decode().map_err(|source| PairError::Image { path: path.display().to_string(), source })
+}
+
+/// A rectified pair of equal size, converted to 8-bit grey.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StereoPair {
+    /// Width of each image, px.
+    pub width_px: u32,
+    /// Height of each image, px.
+    pub height_px: u32,
+    /// The left image's pixels, then the right one's.
+    pub pixels: Vec<u8>,
+}
+
+impl StereoPair {
+    /// Reads two image files (PNG, JPEG, PGM/PPM, BMP; 8 or 16 bits; colour is converted).
+    ///
+    /// # Errors
+    /// A file is missing or damaged, or the images differ in size.
+    pub fn load(left: &Path, right: &Path) -> Result<Self, PairError> {
+        let left_image = read_image(left)?.into_luma8();
+        let right_image = read_image(right)?.into_luma8();
+        let (size, other) = (left_image.dimensions(), right_image.dimensions());
+        if size != other {
+            let problem = format!("is {} x {} px, but {} is {} x {} px", other.0, other.1, left.display(), size.0, size.1);
+            return Err(unusable(right, problem));
+        }
+        let mut pixels = left_image.into_raw();
+        pixels.extend_from_slice(&right_image);
+        Ok(Self { width_px: size.0, height_px: size.1, pixels })
+    }
+}
+
+/// Reads a calibration: our RON [`StereoRig`] (`.ron`), or Middlebury's `calib.txt` (`cam0=[f 0 cx; …]`, mm).
+/// The rig must fit images of the given size.
+///
+/// # Errors
+/// The file is missing or malformed, or describes no possible rig, or another image size.
+pub fn load_calibration(path: &Path, pair: &StereoPair) -> Result<StereoRig, PairError> {
+    let text = fs::read_to_string(path).map_err(io_error(path))?;
+    let rig = if path.extension().is_some_and(|extension| extension == "ron") {
+        ron::from_str(&text).map_err(|error| unusable(path, error.to_string()))?
+    } else {
+        middlebury(&text, pair).map_err(|problem| unusable(path, problem))?
+    };
+    let mut bounds = Bounds::default();
+    rig.check(&mut bounds);
+    let violations = bounds.into_violations();
+    if !violations.is_empty() {
+        return Err(unusable(path, violations.join("; ")));
+    }
+    if (rig.width_px, rig.height_px) != (pair.width_px, pair.height_px) {
+        let problem = format!(
+            "is for images of {} x {} px, the pair has {} x {} px",
+            rig.width_px, rig.height_px, pair.width_px, pair.height_px
+        );
+        return Err(unusable(path, problem));
+    }
+    Ok(rig)
+}
+
+/// Middlebury 2014 and ETH3D: lines of `key=value`, baseline in mm.
+fn middlebury(text: &str, pair: &StereoPair) -> Result<StereoRig, String> {
+    let entries: HashMap<&str, &str> =
+        text.lines().filter_map(|line| line.split_once('=')).map(|(key, value)| (key.trim(), value.trim())).collect();
+    let number = |key: &str| -> Result<f64, String> {
+        let value = entries.get(key).ok_or(format!("has no \"{key}=\" line; expected .ron or Middlebury's calib.txt"))?;
+        value.parse().map_err(|_| format!("{key} is \"{value}\", expected a number"))
+    };
+    let camera = |key: &str| -> Result<[f64; 3], String> {
+        let value = entries.get(key).ok_or(format!("has no \"{key}=\" line; expected .ron or Middlebury's calib.txt"))?;
+        let cells: Result<Vec<f64>, _> =
+            value.trim_matches(['[', ']']).split([' ', ';']).filter(|cell| !cell.is_empty()).map(str::parse).collect();
+        match cells.as_deref() {
+            Ok([f, _, cx, _, _, cy, ..]) => Ok([*f, *cx, *cy]),
+            _ => Err(format!("{key} is \"{value}\", expected [f 0 cx; 0 f cy; 0 0 1]")),
+        }
+    };
+    let [focal_px, cx_px, cy_px] = camera("cam0")?;
+    let size = |key: &str, fallback: u32| match entries.contains_key(key) {
+        true => number(key).map(|value| value as u32),
+        false => Ok(fallback),
+    };
+    Ok(StereoRig {
+        width_px: size("width", pair.width_px)?,
+        height_px: size("height", pair.height_px)?,
+        focal_px,
+        cx_px,
+        cy_px,
+        baseline_m: number("baseline")? * 1e-3,
+        doffs_px: if entries.contains_key("doffs") { number("doffs")? } else { 0.0 },
+    })
+}
+
+/// Reads a disparity image: 16-bit PNG (KITTI: px × 256, 0 = none) or PFM (px; infinite, NaN or ≤ 0 = none).
+///
+/// # Errors
+/// The file is missing, damaged, of another type, or not of the given size.
+pub fn load_disparity(path: &Path, width_px: u32, height_px: u32) -> Result<Vec<Option<f32>>, PairError> {
+    let is_pfm = path.extension().is_some_and(|extension| extension == "pfm");
+    let (size, disparities) = if is_pfm {
+        read_pfm(path)?
+    } else {
+        match read_image(path)? {
+            DynamicImage::ImageLuma16(image) => {
+                let disparities = image.pixels().map(|Luma([raw])| f32::from(*raw) / 256.0).collect();
+                (image.dimensions(), disparities)
+            }
+            other => {
+                let problem = format!("has pixels of type {:?}, expected 16-bit grey (px × 256) or PFM", other.color());
+                return Err(unusable(path, problem));
+            }
+        }
+    };
+    if size != (width_px, height_px) {
+        let problem = format!("is {} x {} px, expected {width_px} x {height_px} px", size.0, size.1);
+        return Err(unusable(path, problem));
+    }
+    Ok(disparities.into_iter().map(|d: f32| (d.is_finite() && d > 0.0).then_some(d)).collect())
+}
+
+/// Reads a mask: pixels of 128 and more are set.
+///
+/// # Errors
+/// The file is missing, damaged, or not of the given size.
+pub fn load_mask(path: &Path, width_px: u32, height_px: u32) -> Result<Vec<bool>, PairError> {
+    let image = read_image(path)?.into_luma8();
+    if image.dimensions() != (width_px, height_px) {
+        let (width, height) = image.dimensions();
+        return Err(unusable(path, format!("is {width} x {height} px, expected {width_px} x {height_px} px")));
+    }
+    Ok(image.into_raw().into_iter().map(|pixel| pixel >= 128).collect())
+}
+
+fn read_pfm(path: &Path) -> Result<((u32, u32), Vec<f32>), PairError> {
+    let bytes_on_disk = fs::metadata(path).map_err(io_error(path))?.len();
+    if bytes_on_disk > LARGEST_FILE {
+        return Err(unusable(path, format!("has {bytes_on_disk} bytes, allowed are {LARGEST_FILE}")));
+    }
+    let bytes = fs::read(path).map_err(io_error(path))?;
+    let not_pfm = || unusable(path, "is not a grey PFM file (Pf, width height, scale, 32-bit rows bottom up)");
+    let mut lines = bytes.splitn(4, |&byte| byte == b'\n');
+    let mut line = || lines.next().and_then(|line| std::str::from_utf8(line).ok()).map(str::trim);
+    let (magic, size, scale) = (line().ok_or_else(not_pfm)?, line().ok_or_else(not_pfm)?, line().ok_or_else(not_pfm)?);
+    let data = lines.next().ok_or_else(not_pfm)?;
+    let (width, height) = size.split_once(' ').ok_or_else(not_pfm)?;
+    let (width, height): (u32, u32) =
+        (width.parse().map_err(|_| not_pfm())?, height.trim().parse().map_err(|_| not_pfm())?);
+    let little_endian = scale.parse::<f32>().map_err(|_| not_pfm())? < 0.0;
+    let side = 1..=StereoRig::MAX_SIDE_PX;
+    let fits = side.contains(&width) && side.contains(&height) && data.len() == width as usize * height as usize * 4;
+    if magic != "Pf" || !fits {
+        return Err(not_pfm());
+    }
+    let value = |cell: &[u8]| {
+        let cell = [cell[0], cell[1], cell[2], cell[3]];
+        if little_endian { f32::from_le_bytes(cell) } else { f32::from_be_bytes(cell) }
+    };
+    let rows = data.chunks_exact(width as usize * 4).rev();
+    Ok(((width, height), rows.flat_map(|row| row.chunks_exact(4)).map(value).collect()))
+}
+
+/// Writes fixed-point disparities as a file of the kind its extension asks for: `.pfm` (px, infinite where
+/// unmatched) or `.png` (16 bit, px × 256, 0 where unmatched).
+///
+/// # Errors
+/// Another extension, or the file cannot be written.
+pub fn save_disparity(path: &Path, width_px: u32, height_px: u32, disparity: &[u16]) -> Result<(), PairError> {
+    match path.extension().and_then(|extension| extension.to_str()) {
+        Some("pfm") => {
+            let mut bytes = format!("Pf\n{width_px} {height_px}\n-1.0\n").into_bytes();
+            for row in disparity.chunks_exact(width_px as usize).rev() {
+                row.iter().for_each(|&d| bytes.extend(decode(d).unwrap_or(f32::INFINITY).to_le_bytes()));
+            }
+            let mut file = fs::File::create(path).map_err(io_error(path))?;
+            file.write_all(&bytes).map_err(io_error(path))
+        }
+        Some("png") => {
+            let kitti = |&d: &u16| decode(d).map_or(NO_MATCH, |_| d.saturating_mul((256.0 / SCALE) as u16));
+            let pixels: Vec<u16> = disparity.iter().map(kitti).collect();
+            let image = image::ImageBuffer::<Luma<u16>, _>::from_raw(width_px, height_px, pixels);
+            let image = image.ok_or_else(|| unusable(path, "the image is not of the stated size"))?;
+            image.save(path).map_err(|source| PairError::Image { path: path.display().to_string(), source })
+        }
+        _ => Err(unusable(path, "has no known extension; expected .png or .pfm")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ipc_types::disparity::encode;
+
+    const PAIR: StereoPair = StereoPair { width_px: 940, height_px: 490, pixels: Vec::new() };
+
+    #[test]
+    fn reads_middlebury_calibrations() {
+        let text = "cam0=[542.019 0 458.5; 0 542.019 244.9; 0 0 1]\ncam1=[1 0 0; 0 1 0; 0 0 1]\ndoffs=0\nbaseline=59.5549\n";
+        let rig = middlebury(text, &PAIR).expect("well-formed");
+        assert_eq!((rig.focal_px, rig.cx_px, rig.cy_px, rig.width_px), (542.019, 458.5, 244.9, 940));
+        assert!((rig.baseline_m - 0.0595549).abs() < 1e-9);
+        assert!(middlebury("baseline=1", &PAIR).expect_err("no camera").contains("cam0"));
+    }
+
+    #[test]
+    fn disparity_files_round_trip() {
+        let folder = std::env::temp_dir().join(format!("sparrowhawk-pairs-{}", std::process::id()));
+        fs::create_dir_all(&folder).expect("writable");
+        let image = [encode(3.5), NO_MATCH, encode(63.25), encode(1.0), encode(0.5), NO_MATCH];
+        let expected: Vec<Option<f32>> = image.iter().map(|&d| decode(d)).collect();
+        for name in ["d.pfm", "d.png"] {
+            let path = folder.join(name);
+            save_disparity(&path, 3, 2, &image).expect("written");
+            assert_eq!(load_disparity(&path, 3, 2).expect("read"), expected, "{name}");
+            assert!(load_disparity(&path, 2, 3).is_err(), "{name} of another size");
+        }
+        fs::write(folder.join("torn.pfm"), b"Pf\n3 2\n-1.0\nabc").expect("writable");
+        assert!(load_disparity(&folder.join("torn.pfm"), 3, 2).is_err());
+        fs::remove_dir_all(&folder).expect("removable");
+    }
+}
