@@ -1,9 +1,10 @@
 //! The pose graph of expanded images (DROAN, Algorithm 2).
 //!
 //! The newest frame is always a node. It becomes a keyframe when the vehicle has moved `spacing_m` or turned
-//! `spacing_deg` since the last one; beyond `keyframes`, the oldest is forgotten. One rule is added: a keyframe taken
-//! from nearly the same pose (within half of both spacings) gives way to the newer frame. So a vehicle that hovers
-//! before something that is not there loses the stale view within one frame, instead of hovering for ever.
+//! `spacing_deg` since the last one; beyond `keyframes`, the oldest is forgotten. One rule is added: a keyframe whose
+//! anchor (the pose that made it one) lies within half of both spacings takes the newer frame in place of its own.
+//! So a vehicle that hovers before something that is not there loses the stale view within one frame, instead of
+//! hovering for ever.
 
 use ipc_types::bounds::Bounds;
 use ipc_types::{Camera, FlightTime, Pose, World};
@@ -51,12 +52,19 @@ impl Node {
     }
 }
 
+/// A place of the graph: the frame that made it, and the newest frame taken there.
+#[derive(Clone, Copy, Debug)]
+struct Place {
+    anchor: Node,
+    frame: Node,
+}
+
 /// The nodes, newest first.
 #[derive(Clone, Debug)]
 pub struct DisparityGraph {
     rule: GraphRule,
     newest: Option<Node>,
-    keyframes: Vec<Node>,
+    keyframes: Vec<Place>,
 }
 
 impl DisparityGraph {
@@ -67,8 +75,8 @@ impl DisparityGraph {
 
     /// The newest frame, then the keyframes from the newest to the oldest.
     pub fn nodes(&self) -> impl Iterator<Item = &Node> {
-        let newest = self.newest.iter().filter(|newest| self.keyframes.iter().all(|k| k.image_id != newest.image_id));
-        newest.chain(&self.keyframes)
+        let others = |place: &&Place| self.newest.is_none_or(|newest| newest.image_id != place.frame.image_id);
+        self.newest.iter().chain(self.keyframes.iter().filter(others).map(|place| &place.frame))
     }
 
     /// Adds a frame; calls `forget` with the id of every image that is no longer a node.
@@ -83,18 +91,21 @@ impl DisparityGraph {
         let before: Vec<u64> = self.nodes().map(|node| node.image_id).collect();
         let (half_m, half_deg) = (self.rule.spacing_m / 2.0, self.rule.spacing_deg / 2.0);
         let is_far = self.keyframes.first().is_none_or(|last| {
-            let (distance_m, angle_deg) = frame.apart(last);
+            let (distance_m, angle_deg) = frame.apart(&last.anchor);
             distance_m >= self.rule.spacing_m || angle_deg >= self.rule.spacing_deg
         });
-        let count = self.keyframes.len();
-        self.keyframes.retain(|keyframe| {
-            let (distance_m, angle_deg) = frame.apart(keyframe);
-            distance_m >= half_m || angle_deg >= half_deg
+        let near = self.keyframes.iter_mut().find(|place| {
+            let (distance_m, angle_deg) = frame.apart(&place.anchor);
+            distance_m < half_m && angle_deg < half_deg
         });
-        if is_far || self.keyframes.len() < count {
-            self.keyframes.insert(0, frame);
-            // One place is the newest frame's, which moves on while the keyframe stays.
-            self.keyframes.truncate(self.rule.keyframes - 1);
+        match near {
+            Some(place) => place.frame = frame,
+            None if is_far => {
+                self.keyframes.insert(0, Place { anchor: frame, frame });
+                // One node is the newest frame, which moves on while the keyframes stay.
+                self.keyframes.truncate(self.rule.keyframes - 1);
+            }
+            None => {}
         }
         self.newest = Some(frame);
         for id in before {
