@@ -13,6 +13,7 @@
 pub mod bounds;
 pub mod disparity;
 pub mod frames;
+pub mod limits;
 pub mod messages;
 pub mod noise;
 pub mod pose_history;

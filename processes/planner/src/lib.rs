@@ -1,1 +1,125 @@
-//! planner
+//! Where to fly next (DROAN, chapter 4).
+//!
+//! [`Planner`] is the pure core. At every new map it rolls out a library of candidates from where the vehicle will be
+//! when the plan takes effect ([`rollout`](self)), asks the map about each ([`admission`](self)), and publishes the
+//! cheapest admissible one. Every candidate ends at rest. Admissible means: no sample is occupied, and as far as
+//! the vehicle can get before the next plan or the controller's deadline, plus its braking distance along the
+//! velocity it then has, everything is known free. Beyond that a plan may pass through unknown space, at a price.
+//!
+//! New plans are checked with γ_low, the plan being flown with γ_high, so that flicker causes no replan. Without an
+//! admissible plan the vehicle brakes, looks around, backs out along the path flown, and finally gives up and hovers.
+//!
+//! Effort is bounded by the number of candidates and samples, never by time.
+
+mod admission;
+mod library;
+mod planner;
+mod process;
+mod rollout;
+mod stuck;
+
+pub use planner::{Plan, Planner, Situation};
+pub use process::PlannerProcess;
+
+use ipc_types::bounds::Bounds;
+use serde::{Deserialize, Serialize};
+
+/// Parameters of the planner.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Config {
+    /// Threshold for new plans (strict).
+    pub gamma_low: f32,
+    /// Threshold for the plan being flown (lenient).
+    pub gamma_high: f32,
+    /// Speeds of the library, as shares of the cruise speed.
+    pub speed_shares: Vec<f64>,
+    /// Headings of the library relative to the goal's direction, degrees, on each side.
+    pub headings_deg: Vec<f64>,
+    /// Climb angles of the library, degrees, up and down.
+    pub climbs_deg: Vec<f64>,
+    /// Length of a candidate before it brakes, s.
+    pub horizon_s: f64,
+    /// Straight look beyond a candidate's end towards the goal, m.
+    pub tail_m: f64,
+    /// Time for which a plan must be safe: replanning interval, latency and the controller's deadline, s.
+    pub commit_s: f64,
+    /// Time until a plan takes effect, s.
+    pub lead_s: f64,
+    /// Spacing of occupancy checks, m.
+    pub sample_m: f64,
+    /// Acceleration of the candidates, m/s².
+    pub acceleration_mps2: f64,
+    /// Deceleration of the candidates, m/s².
+    pub braking_mps2: f64,
+    /// Speed of take-off, m/s.
+    pub take_off_mps: f64,
+    /// Height above the take-off place to fly at, m.
+    pub cruise_height_m: f64,
+    /// Turn rate of the planned heading, degrees/s.
+    pub yaw_rate_degps: f64,
+    /// Price of a metre of the candidate that is unknown, m.
+    pub unknown_price: f64,
+    /// Price of a metre off the cruise height, m.
+    pub height_price: f64,
+    /// How much cheaper a new plan must be than the one being flown, m.
+    pub hysteresis_m: f64,
+    /// Time without an admissible plan before looking around, s.
+    pub patience_s: f64,
+    /// Distance to back out before trying again, m.
+    pub back_out_m: f64,
+    /// Rounds of looking around and backing out before giving up.
+    pub attempts: u32,
+}
+
+impl Config {
+    /// Most candidates that a configuration may ask for.
+    pub const MOST_CANDIDATES: usize = 2000;
+
+    /// Number of candidates of the library.
+    pub fn candidates(&self) -> usize {
+        library::size(self)
+    }
+
+    /// Reports values out of range.
+    pub fn check(&self, bounds: &mut Bounds) {
+        bounds.range("gamma_low", self.gamma_low, 0.0..=100.0);
+        bounds.range("gamma_high", self.gamma_high, self.gamma_low.max(0.0)..=100.0);
+        let lists = [
+            ("speed_shares", &self.speed_shares, 0.05..=1.0),
+            ("headings_deg", &self.headings_deg, 0.0..=180.0),
+            ("climbs_deg", &self.climbs_deg, 0.0..=80.0),
+        ];
+        for (name, list, allowed) in lists {
+            bounds.require(!list.is_empty(), name, "is empty, needs at least one value");
+            list.iter().for_each(|&value| bounds.range(name, value, allowed.clone()));
+        }
+        let candidates = self.candidates();
+        bounds.require(
+            candidates <= Self::MOST_CANDIDATES,
+            "",
+            format_args!("speeds, headings and climbs make {candidates} candidates, allowed are {}", Self::MOST_CANDIDATES),
+        );
+        bounds.range("horizon_s", self.horizon_s, 0.3..=6.0);
+        bounds.range("tail_m", self.tail_m, 0.0..=50.0);
+        bounds.range("commit_s", self.commit_s, 0.05..=2.0);
+        bounds.range("lead_s", self.lead_s, 0.0..=0.5);
+        bounds.range("sample_m", self.sample_m, 0.02..=1.0);
+        bounds.range("acceleration_mps2", self.acceleration_mps2, 0.2..=20.0);
+        bounds.range("braking_mps2", self.braking_mps2, 0.2..=20.0);
+        bounds.range("take_off_mps", self.take_off_mps, 0.1..=5.0);
+        bounds.range("cruise_height_m", self.cruise_height_m, 0.5..=100.0);
+        bounds.range("yaw_rate_degps", self.yaw_rate_degps, 1.0..=360.0);
+        bounds.range("unknown_price", self.unknown_price, 0.0..=100.0);
+        bounds.range("height_price", self.height_price, 0.0..=100.0);
+        bounds.range("hysteresis_m", self.hysteresis_m, 0.0..=10.0);
+        bounds.range("patience_s", self.patience_s, 0.1..=30.0);
+        bounds.range("back_out_m", self.back_out_m, 0.5..=50.0);
+        bounds.range("attempts", self.attempts, 0..=100);
+    }
+
+    /// Distance covered from `speed_mps` until at rest, latency included, m.
+    pub fn stopping_distance_m(&self, speed_mps: f64) -> f64 {
+        speed_mps * (self.commit_s + self.lead_s) + speed_mps * speed_mps / (2.0 * self.braking_mps2)
+    }
+}

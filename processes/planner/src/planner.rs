@@ -1,0 +1,393 @@
+//! The pure core: situation in, plan out.
+
+use crate::Config;
+use crate::admission::Admission;
+use crate::library::{self, Index};
+use crate::rollout::{Rollout, STEP_S, Sample, Target};
+use crate::stuck::{LOOK_SHARE, Stage, Stuck};
+use ipc_types::frames::wrap_angle_rad;
+use ipc_types::limits::Fence;
+use ipc_types::messages::{PlanMode, TrajectoryPoint};
+use ipc_types::{FlightTime, Point, Vector, World};
+use memory::View;
+
+/// What the planner plans from.
+#[derive(Clone, Copy, Debug)]
+pub struct Situation {
+    /// Flight time.
+    pub now: FlightTime,
+    /// When the state below was valid.
+    pub state_valid: FlightTime,
+    /// Position.
+    pub position: Point<World>,
+    /// Velocity.
+    pub velocity: Vector<World>,
+    /// Heading, rad.
+    pub yaw_rad: f64,
+    /// Where to go.
+    pub goal: Point<World>,
+    /// Highest speed on the way, m/s.
+    pub cruise_mps: f64,
+}
+
+/// A plan, apart from its points ([`Planner::points`]).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Plan {
+    /// Instant of the first point.
+    pub start: FlightTime,
+    /// What it does.
+    pub mode: PlanMode,
+    /// Candidates evaluated.
+    pub candidates: u32,
+    /// Candidates found admissible.
+    pub admissible: u32,
+}
+
+/// Plans trajectories. Keeps the plan being flown, so that flicker does not change it.
+#[derive(Clone, Debug)]
+pub struct Planner {
+    config: Config,
+    fence: Fence,
+    home: Point<World>,
+    airborne: bool,
+    arrived: bool,
+    goal: Option<Point<World>>,
+    flying: Option<Index>,
+    stuck: Stuck,
+    replans: u64,
+    scratch: Rollout,
+    best: Rollout,
+    points: Vec<TrajectoryPoint>,
+}
+
+/// Distance to the goal at which it counts as reached, m.
+const ARRIVED_M: f64 = 0.4;
+/// Distance at which a vehicle that had arrived sets out again, m.
+const LEFT_M: f64 = 1.0;
+/// Speed of backing out, m/s.
+const BACK_OUT_MPS: f64 = 1.0;
+/// Longest time that backing out may take, s.
+const BACK_OUT_S: f64 = 15.0;
+/// Shortest move worth making, m: less is standing still.
+const WORTHWHILE_M: f64 = 0.3;
+
+impl Planner {
+    /// For a vehicle that takes off at `home`.
+    pub fn new(config: Config, fence: Fence, home: Point<World>) -> Self {
+        Self {
+            config,
+            fence,
+            home,
+            airborne: false,
+            arrived: false,
+            goal: None,
+            flying: None,
+            stuck: Stuck::new(),
+            replans: 0,
+            scratch: Rollout::new(),
+            best: Rollout::new(),
+            points: Vec::with_capacity(256),
+        }
+    }
+
+    /// Plans chosen anew rather than continued, so far.
+    pub fn replans(&self) -> u64 {
+        self.replans
+    }
+
+    /// The points of the last plan.
+    pub fn points(&self) -> &[TrajectoryPoint] {
+        &self.points
+    }
+
+    /// Plans from a situation and a map.
+    pub fn step(&mut self, situation: &Situation, view: &View) -> Plan {
+        let start = situation.now + std::time::Duration::from_secs_f64(self.config.lead_s);
+        if self.goal.is_none_or(|goal| goal.distance(situation.goal) > 0.05) {
+            self.goal = Some(situation.goal);
+            self.stuck.reset();
+            self.arrived = false;
+        }
+        // Where the vehicle will be when the plan takes effect.
+        let ahead_s = start.seconds_since(situation.state_valid).clamp(0.0, 0.5);
+        let from = Sample {
+            position: situation.position + situation.velocity * ahead_s,
+            velocity: situation.velocity,
+        };
+        let plan = |mode| Plan { start, mode, candidates: 0, admissible: 0 };
+        let top = Point::new(self.home.x, self.home.y, self.home.z + self.config.cruise_height_m);
+        self.airborne |= situation.position.z >= top.z - 0.3;
+        if !self.airborne {
+            let climb = Target::Place(top, self.config.take_off_mps);
+            self.best.fill(from, climb, 3.0, &self.config);
+            self.write_points(situation.yaw_rad, |_| goal_heading(situation));
+            return plan(PlanMode::TakeOff);
+        }
+        let to_goal_m = situation.position.distance(situation.goal);
+        self.arrived = to_goal_m < if self.arrived { LEFT_M } else { ARRIVED_M };
+        if self.stuck.stage == Stage::GivenUp {
+            self.brake(from, situation.yaw_rad);
+            return plan(PlanMode::GivenUp);
+        }
+        if let Stage::BackingOut { since, to } = self.stuck.stage {
+            return Plan { mode: self.back_out(situation, from, view, since, to), ..plan(PlanMode::BackOut) };
+        }
+        self.stuck.note_progress(situation.now, situation.position, to_goal_m, &self.config);
+        let (candidates, admissible) = self.choose(from, situation, view);
+        if admissible == 0 {
+            let mode = self.no_plan(from, situation, view);
+            return Plan { candidates, ..plan(mode) };
+        }
+        self.stuck.moving();
+        let arrived = self.arrived;
+        self.write_points(situation.yaw_rad, |velocity| {
+            if arrived { situation.yaw_rad } else { travel_heading(velocity, situation) }
+        });
+        let mode = if arrived { PlanMode::Arrived } else { PlanMode::Cruise };
+        Plan { candidates, admissible, ..plan(mode) }
+    }
+
+    /// Leaves the cheapest admissible candidate in `self.best`; returns how many were tried and admitted.
+    fn choose(&mut self, from: Sample, situation: &Situation, view: &View) -> (u32, u32) {
+        let (config, fence) = (&self.config, &self.fence);
+        let admission = Admission { view, fence, config };
+        let (goal, stuck, flying) = (situation.goal, &self.stuck, self.flying);
+        let (scratch, best) = (&mut self.scratch, &mut self.best);
+        let height = self.home.z + config.cruise_height_m;
+        let (mut tried, mut admitted, mut cheapest, mut choice) = (0, 0, f64::INFINITY, None);
+        let near_goal = self.arrived || from.position.distance(goal) < LEFT_M;
+        library::for_each(config, from.position, goal, situation.cruise_mps, |index, target| {
+            tried += 1;
+            let is_flying = flying == Some(index);
+            let threshold = if is_flying { config.gamma_high } else { config.gamma_low };
+            scratch.fill(from, target, config.horizon_s, config);
+            let end = scratch.end_of_going().position;
+            let stands_still = end.distance(from.position) < WORTHWHILE_M && !near_goal;
+            // The price from below, before the map is asked: most candidates cannot win.
+            let off_height = (end.z - height).abs() * config.height_price * f64::from(u8::from(!near_goal));
+            let mut price = end.distance(goal) + off_height + stuck.price(end);
+            price -= if is_flying { config.hysteresis_m } else { 0.0 };
+            if stands_still || price >= cheapest {
+                return;
+            }
+            let Some(found) = admission.admit(scratch, threshold) else {
+                return;
+            };
+            admitted += 1;
+            let reach_m = config.tail_m.min(end.distance(goal));
+            price += config.unknown_price * found.unknown_m;
+            price += reach_m - admission.clear_m(end, goal, config.tail_m, threshold);
+            if price < cheapest {
+                (cheapest, choice) = (price, Some(index));
+                std::mem::swap(scratch, best);
+            }
+        });
+        if choice.is_some() && choice != self.flying {
+            self.replans += 1;
+        }
+        self.flying = choice;
+        (tried, admitted)
+    }
+
+    /// Nothing is admissible: brake, and let [`Stuck`] say what else.
+    fn no_plan(&mut self, from: Sample, situation: &Situation, view: &View) -> PlanMode {
+        let path = view.free_space().path();
+        self.stuck.no_plan(situation.now, situation.position, path, &self.config);
+        match self.stuck.stage {
+            Stage::LookingAround { .. } => {
+                let step = (LOOK_SHARE * self.config.yaw_rate_degps).to_radians() * STEP_S;
+                self.brake(from, situation.yaw_rad);
+                // At rest there is one sample; the turn needs more.
+                while self.points.len() < 12 {
+                    let Some(&last) = self.points.last() else { break };
+                    self.points.push(TrajectoryPoint { t_s: last.t_s + STEP_S, ..last });
+                }
+                for (index, point) in self.points.iter_mut().enumerate() {
+                    // Ahead of the heading, so that the tracker keeps turning at the rate.
+                    point.yaw_rad = wrap_angle_rad(situation.yaw_rad + step * (index + 6) as f64);
+                }
+                PlanMode::LookAround
+            }
+            Stage::GivenUp => {
+                self.brake(from, situation.yaw_rad);
+                PlanMode::GivenUp
+            }
+            _ => {
+                self.brake(from, situation.yaw_rad);
+                PlanMode::Hold
+            }
+        }
+    }
+
+    /// Flies back along the path flown, whose swept volume is free.
+    fn back_out(&mut self, situation: &Situation, from: Sample, view: &View, since: FlightTime, to: usize) -> PlanMode {
+        let path = view.free_space().path();
+        let late = situation.now.seconds_since(since) > BACK_OUT_S;
+        let Some(&end) = path.get(to).filter(|end| end.distance(situation.position) > 0.4 && !late) else {
+            self.stuck.backed_out(situation.now);
+            self.brake(from, situation.yaw_rad);
+            return PlanMode::Hold;
+        };
+        // The next place on the way: never cut a corner that was not flown.
+        let here = (to..path.len()).min_by(|&a, &b| {
+            path[a].distance(situation.position).total_cmp(&path[b].distance(situation.position))
+        });
+        let next = here.map_or(end, |here| path[here.saturating_sub(2).max(to)]);
+        self.flying = None;
+        self.best.fill(from, Target::Place(next, BACK_OUT_MPS), 1.0, &self.config);
+        self.write_points(situation.yaw_rad, |_| situation.yaw_rad);
+        PlanMode::BackOut
+    }
+
+    /// A straight stop along the velocity, which is always allowed.
+    fn brake(&mut self, from: Sample, yaw_rad: f64) {
+        self.flying = None;
+        self.best.fill(from, Target::Velocity(Vector::ZERO), 0.0, &self.config);
+        self.write_points(yaw_rad, |_| yaw_rad);
+    }
+
+    /// Turns `self.best` into points; the heading turns towards `heading` of the velocity at the turn rate.
+    fn write_points(&mut self, yaw_rad: f64, heading: impl Fn(Vector<World>) -> f64) {
+        let most = self.config.yaw_rate_degps.to_radians() * STEP_S;
+        let mut yaw_rad = yaw_rad;
+        self.points.clear();
+        for (index, sample) in self.best.samples.iter().enumerate() {
+            // Look where the vehicle will be: half a second on.
+            let ahead = self.best.samples.get(index + 5).map_or(sample.velocity, |ahead| ahead.velocity);
+            yaw_rad = wrap_angle_rad(yaw_rad + wrap_angle_rad(heading(ahead) - yaw_rad).clamp(-most, most));
+            self.points.push(TrajectoryPoint {
+                t_s: index as f64 * STEP_S,
+                position_m: sample.position.to_array(),
+                velocity_mps: sample.velocity.to_array(),
+                yaw_rad,
+            });
+        }
+    }
+}
+
+fn goal_heading(situation: &Situation) -> f64 {
+    let offset = situation.goal - situation.position;
+    if offset.horizontal_norm() < 0.5 { situation.yaw_rad } else { offset.y.atan2(offset.x) }
+}
+
+/// The direction of travel, or of the goal while hardly moving.
+fn travel_heading(velocity: Vector<World>, situation: &Situation) -> f64 {
+    if velocity.horizontal_norm() > 0.3 { velocity.y.atan2(velocity.x) } else { goal_heading(situation) }
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+    use ipc_types::StereoRig;
+    use ipc_types::noise::NoiseModel;
+    use memory::{FreeSpace, FreeSpaceRule};
+
+    pub(crate) fn config() -> Config {
+        Config {
+            gamma_low: 0.9,
+            gamma_high: 1.8,
+            speed_shares: vec![1.0, 0.6, 0.3],
+            headings_deg: vec![0.0, 10.0, 20.0, 35.0, 50.0, 75.0, 100.0, 130.0],
+            climbs_deg: vec![0.0, 15.0],
+            horizon_s: 1.8,
+            tail_m: 8.0,
+            commit_s: 0.5,
+            lead_s: 0.06,
+            sample_m: 0.15,
+            acceleration_mps2: 3.5,
+            braking_mps2: 3.5,
+            take_off_mps: 1.2,
+            cruise_height_m: 2.0,
+            yaw_rate_degps: 90.0,
+            unknown_price: 0.3,
+            height_price: 0.5,
+            hysteresis_m: 0.6,
+            patience_s: 1.0,
+            back_out_m: 3.0,
+            attempts: 4,
+        }
+    }
+
+    const FENCE: Fence = Fence { least_m: [-20.0, -50.0, 0.5], most_m: [100.0, 50.0, 6.0] };
+
+    /// A map that knows nothing beyond a home cylinder of the given radius.
+    fn home_only(radius_m: f64) -> View {
+        let rule = FreeSpaceRule {
+            home_radius_m: radius_m,
+            home_height_m: 10.0,
+            swept_radius_m: 0.5,
+            body_radius_m: 0.3,
+            background_parallax_m: 0.5,
+        };
+        let rig = StereoRig {
+            width_px: 32,
+            height_px: 24,
+            focal_px: 20.0,
+            cx_px: 15.5,
+            cy_px: 11.5,
+            baseline_m: 0.3,
+            doffs_px: 0.0,
+        };
+        let noise = NoiseModel { sigma_px: 0.5, lambda_near: 3.0, lambda_far: 1.0, near_px: 10.0, far_px: 4.0 };
+        View::new(rig, noise, FreeSpace::new(rule, Point::ZERO))
+    }
+
+    fn situation(now: f64, position: Point<World>, velocity: Vector<World>) -> Situation {
+        let now = FlightTime::from_secs_f64(now);
+        let goal = Point::new(60.0, 0.0, 2.0);
+        Situation { now, state_valid: now, position, velocity, yaw_rad: 0.0, goal, cruise_mps: 4.0 }
+    }
+
+    /// Follows the planner's own plans, ten a second.
+    fn fly(view: &View, seconds: f64) -> (Point<World>, f64, Vec<PlanMode>) {
+        // The plan is followed exactly and at once.
+        let mut planner = Planner::new(Config { lead_s: 0.0, ..config() }, FENCE, Point::ZERO);
+        let (mut position, mut velocity, mut fastest, mut modes) = (Point::ZERO, Vector::ZERO, 0.0_f64, Vec::new());
+        for tick in 0..(seconds * 10.0) as usize {
+            let plan = planner.step(&situation(tick as f64 * 0.1, position, velocity), view);
+            let next = planner.points().get(1).or(planner.points().last()).expect("a plan has points");
+            position = Point::from_array(next.position_m);
+            velocity = Vector::from_array(next.velocity_mps);
+            fastest = fastest.max(velocity.norm());
+            if modes.last() != Some(&plan.mode) {
+                modes.push(plan.mode);
+            }
+        }
+        (position, fastest, modes)
+    }
+
+    #[test]
+    fn takes_off_flies_and_arrives_where_all_is_free() {
+        let (position, fastest, modes) = fly(&home_only(200.0), 30.0);
+        assert_eq!(modes, [PlanMode::TakeOff, PlanMode::Cruise, PlanMode::Arrived]);
+        assert!(position.distance(Point::new(60.0, 0.0, 2.0)) < 0.5, "{position:?}");
+        assert!(fastest > 3.8, "{fastest}");
+    }
+
+    #[test]
+    fn never_leaves_what_is_known_free() {
+        let (position, _, modes) = fly(&home_only(12.0), 20.0);
+        assert!(position.x > 8.0 && position.x < 12.0, "{position:?}");
+        assert!(modes.contains(&PlanMode::Hold) && modes.contains(&PlanMode::LookAround), "{modes:?}");
+    }
+
+    #[test]
+    fn gives_up_and_hovers_in_the_end() {
+        let (_, _, modes) = fly(&home_only(6.0), 200.0);
+        assert_eq!(modes.last(), Some(&PlanMode::GivenUp), "{modes:?}");
+    }
+
+    #[test]
+    fn keeps_inside_the_fence() {
+        let mut planner = Planner::new(config(), Fence { most_m: [20.0, 50.0, 6.0], ..FENCE }, Point::ZERO);
+        let view = home_only(200.0);
+        let (mut position, mut velocity) = (Point::new(0.0, 0.0, 2.0), Vector::ZERO);
+        for tick in 0..200 {
+            planner.step(&situation(f64::from(tick) * 0.1, position, velocity), &view);
+            let next = planner.points().get(1).or(planner.points().last()).expect("a plan has points");
+            position = Point::from_array(next.position_m);
+            velocity = Vector::from_array(next.velocity_mps);
+            assert!(position.x <= 20.0, "{position:?}");
+        }
+    }
+}

@@ -1,0 +1,128 @@
+//! The planner process: keyframes, flown path, state and goal in, trajectory out.
+
+use crate::{Config, Planner, Situation};
+use ipc_types::limits::Fence;
+use ipc_types::messages::{Goal, Keyframe, VehicleState};
+use ipc_types::noise::NoiseModel;
+use ipc_types::topics::{Goals, Keyframes, Path, Plan, State};
+use ipc_types::{FlightTime, Point, ProcessId, StereoRig, World};
+use memory::{FreeSpace, FreeSpaceRule, View};
+use runtime::images::StoredImage;
+use runtime::{Connect, Message, Ports, Process, Report};
+
+/// Connects a [`Planner`] to its topics.
+#[derive(Debug)]
+pub struct PlannerProcess {
+    planner: Planner,
+    view: View,
+    lead_s: f64,
+    goal: Option<Goal>,
+    state: Option<VehicleState>,
+    /// Images of the current keyframes, mapped where they lie.
+    images: Vec<(u64, StoredImage)>,
+    report: Report,
+}
+
+impl PlannerProcess {
+    /// For a vehicle that takes off at `home`.
+    pub fn new(
+        rig: StereoRig,
+        noise: NoiseModel,
+        rule: FreeSpaceRule,
+        config: Config,
+        fence: Fence,
+        home: Point<World>,
+    ) -> Self {
+        Self {
+            view: View::new(rig, noise, FreeSpace::new(rule, home)),
+            lead_s: config.lead_s,
+            planner: Planner::new(config, fence, home),
+            goal: None,
+            state: None,
+            images: Vec::new(),
+            report: Report::waiting("waiting for a map"),
+        }
+    }
+
+    /// Brings the view up to date with a keyframe set.
+    fn look(&mut self, ports: &mut impl Ports, keyframes: &[Keyframe]) {
+        self.images.retain(|(id, _)| keyframes.iter().any(|keyframe| keyframe.image_id == *id));
+        self.view.clear();
+        for keyframe in keyframes {
+            let held = self.images.iter().find(|(id, _)| *id == keyframe.image_id).map(|(_, image)| image.clone());
+            let image = held.or_else(|| {
+                let image = ports.images().get(keyframe.image_id)?;
+                self.images.push((keyframe.image_id, image.clone()));
+                Some(image)
+            });
+            let usable = image.zip(keyframe.world_from_camera()).is_some_and(|(image, pose)| self.view.push(pose, image));
+            if !usable {
+                // The map is smaller by one view; nothing becomes free by that.
+                self.report.refuse("a keyframe is missing or damaged");
+            }
+        }
+        if let Some(path) = ports.latest::<Path>() {
+            let places = path.elements().iter().map(|point| Point::from_array(point.position_m));
+            self.view.free_space_mut().set_path(places.filter(|place| place.is_finite()));
+        }
+    }
+
+    fn situation(&self, now: FlightTime) -> Option<Situation> {
+        let (state, goal) = (self.state.as_ref()?, self.goal.as_ref()?);
+        let pose = state.world_from_body()?;
+        Some(Situation {
+            now,
+            state_valid: FlightTime::from_nanos(state.stamp.valid_ns),
+            position: state.position(),
+            velocity: state.velocity(),
+            yaw_rad: pose.rotation.roll_pitch_yaw().2,
+            goal: Point::from_array(goal.position_m),
+            cruise_mps: goal.cruise_speed_mps,
+        })
+    }
+}
+
+impl Process for PlannerProcess {
+    const ID: ProcessId = ProcessId::Planner;
+
+    fn connect(&self, connect: &mut impl Connect) {
+        connect.reads::<State>();
+        connect.reads::<Goals>();
+        connect.reads::<Keyframes>();
+        connect.reads::<Path>();
+        connect.writes::<Plan>();
+    }
+
+    fn step<P: Ports>(&mut self, ports: &mut P) -> Report {
+        if let Some(state) = ports.latest::<State>() {
+            self.state = Some(*state.header());
+        }
+        if let Some(goal) = ports.latest::<Goals>() {
+            let goal = *goal.header();
+            let sane = Point::<World>::from_array(goal.position_m).is_finite() && goal.cruise_speed_mps > 0.0;
+            if sane {
+                self.goal = Some(goal);
+            } else {
+                self.report.refuse("goal is not finite, or its speed is not positive");
+            }
+        }
+        let Some(set) = ports.latest::<Keyframes>() else {
+            return self.report.idle();
+        };
+        self.look(ports, set.elements());
+        let Some(situation) = self.situation(ports.now()) else {
+            return self.report.degraded(if self.goal.is_none() { "waiting for a goal" } else { "waiting for a state" });
+        };
+        let plan = self.planner.step(&situation, &self.view);
+        let (planner, lead_s) = (&self.planner, self.lead_s);
+        ports.publish::<Plan>(plan.start, planner.points().len(), |out, points| {
+            out.image_valid_ns = set.header().stamp.valid_ns;
+            out.replans = planner.replans();
+            out.mode = plan.mode as u32;
+            (out.candidates, out.admissible) = (plan.candidates, plan.admissible);
+            out.lead_s = lead_s;
+            points.copy_from_slice(planner.points());
+        });
+        self.report.worked()
+    }
+}

@@ -1,0 +1,142 @@
+//! Dynamically feasible trajectories: a point mass whose velocity follows a target no faster than it can.
+
+use crate::Config;
+use ipc_types::{Point, Vector, World};
+
+/// Time step of a roll-out, s.
+pub(crate) const STEP_S: f64 = 0.1;
+/// Most samples of a trajectory; longer ones are cut, which only a configuration beyond its bounds can ask for.
+pub(crate) const MOST_SAMPLES: usize = 200;
+
+/// A sample of a trajectory.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Sample {
+    pub(crate) position: Point<World>,
+    pub(crate) velocity: Vector<World>,
+}
+
+/// What the velocity follows.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Target {
+    /// A constant velocity.
+    Velocity(Vector<World>),
+    /// A place to come to rest at, approached no faster than this.
+    Place(Point<World>, f64),
+}
+
+/// A rolled-out trajectory: `samples[..braking]` goes, the rest brakes to rest.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Rollout {
+    pub(crate) samples: Vec<Sample>,
+    pub(crate) braking: usize,
+}
+
+impl Rollout {
+    pub(crate) fn new() -> Self {
+        Self { samples: Vec::with_capacity(MOST_SAMPLES + 1), braking: 0 }
+    }
+
+    /// Goes for `duration_s` after `target`, then brakes to rest. Reuses the samples' memory.
+    pub(crate) fn fill(&mut self, start: Sample, target: Target, duration_s: f64, config: &Config) {
+        self.samples.clear();
+        self.samples.push(start);
+        let mut sample = start;
+        let steps = (duration_s / STEP_S).round() as usize;
+        for _ in 0..steps.min(MOST_SAMPLES) {
+            let wanted = match target {
+                Target::Velocity(velocity) => velocity,
+                Target::Place(place, speed) => approach(place - sample.position, speed, config),
+            };
+            let change = wanted - sample.velocity;
+            let slows = change.dot(sample.velocity) < 0.0;
+            let limit = if slows { config.braking_mps2 } else { config.acceleration_mps2 };
+            sample = advance(sample, change.clamp_norm(limit * STEP_S));
+            self.samples.push(sample);
+        }
+        self.braking = self.samples.len();
+        brake(sample, config, |sample| self.samples.push(sample));
+    }
+
+    /// Where the going ends.
+    pub(crate) fn end_of_going(&self) -> Sample {
+        self.samples[self.braking - 1]
+    }
+}
+
+/// Calls `each` with the samples after `sample` of a straight stop along its velocity; the last is at rest.
+pub(crate) fn brake(mut sample: Sample, config: &Config, mut each: impl FnMut(Sample)) {
+    for _ in 0..MOST_SAMPLES {
+        let speed = sample.velocity.norm();
+        if speed <= 0.0 {
+            return;
+        }
+        let change = (-sample.velocity).clamp_norm(config.braking_mps2 * STEP_S);
+        sample = advance(sample, change);
+        if sample.velocity.norm() < 1e-6 {
+            sample.velocity = Vector::ZERO;
+        }
+        each(sample);
+    }
+}
+
+/// Velocity towards a place from which the vehicle can still come to rest there.
+fn approach(offset: Vector<World>, speed: f64, config: &Config) -> Vector<World> {
+    // Half of the braking that is available: the rest is for what the vehicle does not follow exactly.
+    let able = (config.braking_mps2 * offset.norm()).sqrt();
+    // Linear at the end, so that the discrete steps settle instead of overshooting.
+    let settle = offset.norm() / 0.5;
+    offset.direction().map_or(Vector::ZERO, |direction| direction * speed.min(able).min(settle))
+}
+
+fn advance(sample: Sample, change: Vector<World>) -> Sample {
+    let velocity = sample.velocity + change;
+    // The mean velocity of the step: exact for constant acceleration.
+    Sample { position: sample.position + (sample.velocity + velocity) * (STEP_S / 2.0), velocity }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::planner::tests::config;
+
+    fn start(speed: f64) -> Sample {
+        Sample { position: Point::new(0.0, 0.0, 2.0), velocity: Vector::new(speed, 0.0, 0.0) }
+    }
+
+    #[test]
+    fn every_rollout_is_feasible_and_ends_at_rest() {
+        let config = config();
+        let mut rollout = Rollout::new();
+        let targets = [
+            Target::Velocity(Vector::new(-2.0, 3.0, 1.0)),
+            Target::Place(Point::new(1.0, 0.5, 2.0), 4.0),
+            Target::Velocity(Vector::ZERO),
+        ];
+        for target in targets {
+            rollout.fill(start(4.0), target, config.horizon_s, &config);
+            assert_eq!(rollout.samples.last().expect("samples").velocity, Vector::ZERO);
+            let most = config.acceleration_mps2.max(config.braking_mps2) * STEP_S;
+            for pair in rollout.samples.windows(2) {
+                assert!((pair[1].velocity - pair[0].velocity).norm() <= most + 1e-9);
+                assert!(pair[0].position.distance(pair[1].position) <= 4.5 * STEP_S);
+            }
+        }
+    }
+
+    #[test]
+    fn braking_covers_the_braking_distance() {
+        let config = config();
+        let mut end = start(4.0);
+        brake(end, &config, |sample| end = sample);
+        let expected = 16.0 / (2.0 * config.braking_mps2);
+        assert!((end.position.x - expected).abs() < 0.1, "{end:?}, expected {expected}");
+    }
+
+    #[test]
+    fn a_place_is_reached_and_kept() {
+        let config = config();
+        let mut rollout = Rollout::new();
+        rollout.fill(start(0.0), Target::Place(Point::new(6.0, 0.0, 2.0), 4.0), 8.0, &config);
+        assert!(rollout.end_of_going().position.distance(Point::new(6.0, 0.0, 2.0)) < 0.1);
+    }
+}

@@ -1,0 +1,165 @@
+//! What to do when there is no way ahead: wait, look around, back out, try elsewhere, give up.
+
+use crate::Config;
+use ipc_types::{FlightTime, Point, World};
+
+/// Progress that counts, m.
+const PROGRESS_M: f64 = 1.0;
+/// Radius within which a place where the vehicle was stuck repels, m.
+const REPULSION_M: f64 = 4.0;
+/// Flying without progress for this long means dithering, s.
+const DITHERING_S: f64 = 12.0;
+
+/// Stage of being stuck.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Stage {
+    /// On the way.
+    Moving,
+    /// Braking, or waiting for the next map.
+    Waiting {
+        /// Since when.
+        since: FlightTime,
+    },
+    /// Turning through a whole turn.
+    LookingAround {
+        /// Since when.
+        since: FlightTime,
+    },
+    /// Flying back to a place of the path flown.
+    BackingOut {
+        /// Since when.
+        since: FlightTime,
+        /// Index into the path.
+        to: usize,
+    },
+    /// Hovering for good.
+    GivenUp,
+}
+
+/// Keeps track of progress and of where the vehicle was stuck.
+#[derive(Clone, Debug)]
+pub(crate) struct Stuck {
+    pub(crate) stage: Stage,
+    places: Vec<Point<World>>,
+    nearest_m: f64,
+    progressed: FlightTime,
+}
+
+impl Stuck {
+    pub(crate) fn new() -> Self {
+        Self { stage: Stage::Moving, places: Vec::new(), nearest_m: f64::INFINITY, progressed: FlightTime::ZERO }
+    }
+
+    /// A new goal forgives everything.
+    pub(crate) fn reset(&mut self) {
+        *self = Self::new();
+    }
+
+    /// Notes the distance to the goal. Dithering without progress marks the place, as being stuck does.
+    pub(crate) fn note_progress(&mut self, now: FlightTime, at: Point<World>, to_goal_m: f64, config: &Config) {
+        if to_goal_m < self.nearest_m - PROGRESS_M {
+            (self.nearest_m, self.progressed) = (to_goal_m, now);
+        } else if now.seconds_since(self.progressed) > DITHERING_S {
+            self.progressed = now;
+            self.mark(at, config);
+        }
+    }
+
+    /// An admissible plan was found.
+    pub(crate) fn moving(&mut self) {
+        if self.stage != Stage::GivenUp {
+            self.stage = Stage::Moving;
+        }
+    }
+
+    /// No plan is admissible. `path` is the path flown, oldest first.
+    pub(crate) fn no_plan(&mut self, now: FlightTime, at: Point<World>, path: &[Point<World>], config: &Config) {
+        let turn_s = 360.0 / (LOOK_SHARE * config.yaw_rate_degps);
+        self.stage = match self.stage {
+            Stage::Moving => Stage::Waiting { since: now },
+            Stage::Waiting { since } if now.seconds_since(since) > config.patience_s => {
+                Stage::LookingAround { since: now }
+            }
+            Stage::LookingAround { since } if now.seconds_since(since) > turn_s => {
+                self.mark(at, config);
+                match (self.stage, back_along(path, at, config.back_out_m)) {
+                    (Stage::GivenUp, _) => Stage::GivenUp,
+                    (_, Some(to)) => Stage::BackingOut { since: now, to },
+                    (_, None) => Stage::LookingAround { since: now },
+                }
+            }
+            same => same,
+        };
+    }
+
+    /// The place to back out to was reached, or was not within a reasonable time.
+    pub(crate) fn backed_out(&mut self, now: FlightTime) {
+        self.stage = Stage::LookingAround { since: now };
+    }
+
+    /// Price of ending at a point, m: high near where the vehicle was stuck.
+    pub(crate) fn price(&self, point: Point<World>) -> f64 {
+        self.places.iter().map(|place| (REPULSION_M - place.distance(point)).max(0.0) * 1.5).sum()
+    }
+
+    fn mark(&mut self, at: Point<World>, config: &Config) {
+        self.places.push(at);
+        if self.places.len() > config.attempts as usize {
+            self.stage = Stage::GivenUp;
+        }
+    }
+}
+
+/// Share of the vehicle's turn rate at which it looks around: slow enough for every direction to be seen sharply.
+pub(crate) const LOOK_SHARE: f64 = 0.6;
+
+/// Index of the place on the path that lies `distance_m` back along it from `at`.
+fn back_along(path: &[Point<World>], at: Point<World>, distance_m: f64) -> Option<usize> {
+    let (mut length, mut from) = (0.0, at);
+    for (index, &place) in path.iter().enumerate().rev() {
+        length += from.distance(place);
+        from = place;
+        if length >= distance_m {
+            return Some(index);
+        }
+    }
+    None
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::planner::tests::config;
+
+    #[test]
+    fn waits_looks_around_backs_out_and_finally_gives_up() {
+        let config = config();
+        let path: Vec<_> = (0..40).map(|i| Point::new(f64::from(i) * 0.25, 0.0, 2.0)).collect();
+        let mut stuck = Stuck::new();
+        let mut stages = Vec::new();
+        let at = path[39];
+        for tick in 0..3000 {
+            let now = FlightTime::from_secs_f64(f64::from(tick) * 0.1);
+            if let Stage::BackingOut { to, .. } = stuck.stage {
+                assert!((path[to].distance(at) - config.back_out_m).abs() < 0.3);
+                stuck.backed_out(now);
+            } else {
+                stuck.no_plan(now, at, &path, &config);
+            }
+            if stages.last() != Some(&std::mem::discriminant(&stuck.stage)) {
+                stages.push(std::mem::discriminant(&stuck.stage));
+            }
+        }
+        assert_eq!(stuck.stage, Stage::GivenUp);
+        let rounds = config.attempts as usize;
+        assert_eq!(stages.len(), 2 + 2 * rounds + 1, "waiting, then rounds of looking and backing, then the end");
+    }
+
+    #[test]
+    fn places_repel_within_their_radius() {
+        let mut stuck = Stuck::new();
+        stuck.mark(Point::ZERO, &config());
+        assert!(stuck.price(Point::new(1.0, 0.0, 0.0)) > stuck.price(Point::new(3.0, 0.0, 0.0)));
+        assert_eq!(stuck.price(Point::new(5.0, 0.0, 0.0)), 0.0);
+    }
+}
