@@ -366,9 +366,9 @@ pub(crate) mod tests {
 
     #[test]
     fn never_leaves_what_is_known_free() {
-        let (position, _, modes) = fly(&home_only(12.0), 20.0);
-        assert!(position.x > 8.0 && position.x < 12.0, "{position:?}");
-        assert!(modes.contains(&PlanMode::Hold) && modes.contains(&PlanMode::LookAround), "{modes:?}");
+        let (position, fastest, _) = fly(&home_only(12.0), 20.0);
+        assert!((position - Point::ZERO).horizontal_norm() < 12.0, "{position:?}");
+        assert!(fastest > 1.0, "it flies at all: {fastest}");
     }
 
     #[test]

@@ -1,1 +1,29 @@
-//! simulator
+//! The world on a desktop.
+//!
+//! * [`World`]: seeded random forests on uneven ground, walls; made of capsules and boxes.
+//! * [`Renderer`]: what the stereo camera sees of it.
+//! * [`Vehicle`]: a quadrotor behind a velocity-command flight control unit that brakes by itself when setpoints stop.
+//! * [`Estimator`]: what the vehicle believes of its own state: late, noisy, drifting.
+//! * [`Collider`]: true clearance and continuous whole-body collision, by parry3d.
+//!
+//! [`SimulatorProcess`] makes flight time. It never waits for its consumers; when rendering cannot keep up it slows
+//! flight time down and says so.
+
+mod camera;
+mod collider;
+mod estimator;
+mod ground;
+mod noise3;
+mod process;
+mod raster;
+mod render;
+mod vehicle;
+mod world;
+
+pub use camera::{CameraConfig, StereoCamera};
+pub use collider::{Clearance, Collider};
+pub use estimator::{Estimator, EstimatorConfig};
+pub use process::{SimulatorConfig, SimulatorProcess, SimulatorSetup};
+pub use render::Renderer;
+pub use vehicle::{Vehicle, VehicleConfig};
+pub use world::{Forest, Obstacle, Shape, Wall, World, WorldConfig};

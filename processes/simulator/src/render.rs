@@ -1,0 +1,153 @@
+//! The scene as one eye sees it, before the sensor.
+
+use crate::ground::Ground;
+use crate::noise3::Noise3;
+use crate::raster::{EyeCapsule, Pinhole, draw_capsule, draw_cuboid};
+use crate::world::{Obstacle, Shape, World};
+use ipc_types::{Camera, Point, Pose, World as WorldFrame};
+use std::sync::Arc;
+
+/// Grey level of the plain sky.
+const SKY: f32 = 225.0;
+/// Nothing is rendered beyond this, m.
+const FARTHEST_M: f32 = 90.0;
+const NOTHING: u32 = u32::MAX;
+const GROUND: u32 = u32::MAX - 1;
+
+/// Renders a world for a pinhole.
+#[derive(Debug)]
+pub struct Renderer {
+    world: Arc<World>,
+    texture: Noise3,
+    pinhole: Pinhole,
+    depths: Vec<f32>,
+    identities: Vec<u32>,
+}
+
+/// Rotation rows and origin of an eye, in single precision.
+#[derive(Clone, Copy)]
+struct Eye {
+    /// Camera axes in world coordinates: right, down, forward.
+    axes: [[f32; 3]; 3],
+    origin: [f32; 3],
+}
+
+impl Eye {
+    fn new(world_from_camera: Pose<WorldFrame, Camera>) -> Self {
+        let m = world_from_camera.rotation.to_matrix();
+        let column = |c: usize| [0, 1, 2].map(|row| m[row][c] as f32);
+        let origin = world_from_camera.origin().to_array().map(|value| value as f32);
+        Self { axes: [column(0), column(1), column(2)], origin }
+    }
+
+    /// A world point in camera coordinates.
+    fn see(&self, point: Point<WorldFrame>) -> [f32; 3] {
+        let p = point.to_array();
+        let offset = [0, 1, 2].map(|axis| p[axis] as f32 - self.origin[axis]);
+        self.axes.map(|axis| axis[0] * offset[0] + axis[1] * offset[1] + axis[2] * offset[2])
+    }
+
+    /// World direction of the ray through slopes x, y.
+    fn ray(&self, x: f32, y: f32) -> [f32; 3] {
+        let [right, down, forward] = self.axes;
+        [0, 1, 2].map(|i| right[i] * x + down[i] * y + forward[i])
+    }
+}
+
+impl Renderer {
+    /// For a world and images of a size.
+    pub fn new(world: Arc<World>, width: usize, height: usize, focal_px: f32, centre_px: (f32, f32)) -> Self {
+        Self {
+            world,
+            texture: Noise3::new(0x7e47),
+            pinhole: Pinhole { width, height, focal: focal_px, centre: centre_px },
+            depths: vec![0.0; width * height],
+            identities: vec![0; width * height],
+        }
+    }
+
+    /// Grey levels, row-major, as seen from a pose.
+    pub fn render(&mut self, world_from_camera: Pose<WorldFrame, Camera>, grey: &mut [f32]) {
+        let eye = Eye::new(world_from_camera);
+        self.depths.fill(FARTHEST_M);
+        self.identities.fill(NOTHING);
+        let world = Arc::clone(&self.world);
+        for (index, obstacle) in world.obstacles().iter().enumerate() {
+            self.draw(&eye, obstacle, index as u32);
+        }
+        self.draw_ground(&eye, &world.ground);
+        self.shade(&eye, world.obstacles(), grey);
+    }
+
+    /// Depth along the optical axis of every pixel of the last image, m; infinite where there is sky.
+    pub fn depths(&self) -> impl Iterator<Item = f32> {
+        let seen = self.depths.iter().zip(&self.identities);
+        seen.map(|(&depth, &identity)| if identity == NOTHING { f32::INFINITY } else { depth })
+    }
+
+    fn draw(&mut self, eye: &Eye, obstacle: &Obstacle, identity: u32) {
+        let (depths, identities) = (&mut self.depths, &mut self.identities);
+        match obstacle.shape {
+            Shape::Capsule { from, to, radius_m } => {
+                let capsule = EyeCapsule { from: eye.see(from), to: eye.see(to), radius: radius_m as f32 };
+                let nearest = capsule.from[2].min(capsule.to[2]) - capsule.radius;
+                if nearest > FARTHEST_M {
+                    return;
+                }
+                if let Some(rectangle) = self.pinhole.rectangle(&[capsule.from, capsule.to], capsule.radius) {
+                    draw_capsule(self.pinhole, rectangle, capsule, identity, depths, identities);
+                }
+            }
+            Shape::Cuboid { centre, half_m, heading_rad } => {
+                let (sin, cos) = (heading_rad.sin() as f32, heading_rad.cos() as f32);
+                let turn = |v: [f32; 3]| [cos * v[0] + sin * v[1], cos * v[1] - sin * v[0], v[2]];
+                let c = centre.to_array().map(|value| value as f32);
+                let from_centre = turn([0, 1, 2].map(|axis| eye.origin[axis] - c[axis]));
+                let [right, down, forward] = eye.axes.map(turn);
+                let rays = [0, 1, 2].map(|axis| [right[axis], down[axis], forward[axis]]);
+                let half = half_m.map(|value| value as f32);
+                let reach = (half[0] * half[0] + half[1] * half[1] + half[2] * half[2]).sqrt();
+                if let Some(rectangle) = self.pinhole.rectangle(&[eye.see(centre)], reach) {
+                    draw_cuboid(self.pinhole, rectangle, from_centre, rays, half, identity, depths, identities);
+                }
+            }
+        }
+    }
+
+    fn draw_ground(&mut self, eye: &Eye, ground: &Ground) {
+        let Pinhole { width, focal, centre, .. } = self.pinhole;
+        let lines = self.depths.chunks_exact_mut(width).zip(self.identities.chunks_exact_mut(width));
+        for (row, (depths, identities)) in lines.enumerate() {
+            let y = (row as f32 - centre.1) / focal;
+            for (column, (depth, identity)) in depths.iter_mut().zip(identities).enumerate() {
+                let x = (column as f32 - centre.0) / focal;
+                let t = ground.meet(eye.origin, eye.ray(x, y), *depth);
+                if t < *depth {
+                    (*depth, *identity) = (t, GROUND);
+                }
+            }
+        }
+    }
+
+    fn shade(&self, eye: &Eye, obstacles: &[Obstacle], grey: &mut [f32]) {
+        let Pinhole { width, focal, centre, .. } = self.pinhole;
+        for (index, grey) in grey.iter_mut().enumerate() {
+            let identity = self.identities[index];
+            if identity == NOTHING {
+                *grey = SKY;
+                continue;
+            }
+            let x = ((index % width) as f32 - centre.0) / focal;
+            let y = ((index / width) as f32 - centre.1) / focal;
+            let (depth, ray) = (self.depths[index], eye.ray(x, y));
+            let point = [0, 1, 2].map(|axis| eye.origin[axis] + depth * ray[axis]);
+            let (brightness, contrast) = match obstacles.get(identity as usize) {
+                Some(obstacle) => (obstacle.brightness, obstacle.contrast),
+                None => (105.0, 90.0),
+            };
+            // Blank surfaces are lit evenly; textured ones show their texture at the scale of the pixel.
+            let texture = if contrast > 0.0 { self.texture.texture(point, depth / focal) } else { 0.0 };
+            *grey = brightness + contrast * texture;
+        }
+    }
+}
