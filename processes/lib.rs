@@ -1,1 +1,25 @@
-//! x
+//! Sparrowhawk: the whole graph on one screen.
+//!
+//! ```text
+//!  simulator | player                                         supervisor: starts, watches, restarts all
+//!        │ stereo frames
+//!        ▼
+//!  stereo-ingest ──disparity──▶ expansion ──expanded──▶ memory ──keyframes──▶ planner ──trajectory──▶ controller
+//!        ▲                                               ▲                      ▲                        │ setpoint
+//!        └────────────── vehicle state, flight clock ────┴──────────────────────┴────────────────────────┘
+//!  recorder: every topic → MCAP
+//! ```
+//!
+//! [`build`](graph) turns a [`config::FlightConfig`] into processes; [`child`] runs one of them over iceoryx2,
+//! [`lockstep`](graph::Flight) all of them in one thread. [`cli`] is the command line.
+
+pub mod child;
+pub mod cli;
+pub mod config;
+mod display;
+mod fly;
+pub mod graph;
+mod replay;
+mod run_files;
+
+pub use fly::report;

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 /// One node of the process graph. The number is its wire identity and never changes meaning.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
+#[serde(rename_all = "snake_case")]
 #[repr(u32)]
 pub enum ProcessId {
     /// Starts, watches and restarts the others; owns every shared-memory service.

@@ -127,7 +127,7 @@ topics! {
         from [Simulator, Player], to [wakes(Memory), reads(Planner), wakes(Controller), reads(Recorder), reads(Supervisor)];
     /// Rectified stereo pairs.
     StereoFrames: "stereo_frame", StereoFrame, [u8; |rig| 2 * rig.pixels()], 12.5 Hz, history 1, depth 1, image true,
-        from [Simulator, Player], to [wakes(StereoIngest), reads(Recorder)];
+        from [Simulator, Player], to [wakes(StereoIngest), reads(Recorder), reads(Supervisor)];
     /// Disparity images.
     Disparity: "disparity_image", DisparityImage, [u16; |rig| rig.pixels()], 12.5 Hz, history 1, depth 1, image true,
         from [StereoIngest], to [wakes(Expansion), reads(Recorder), reads(Supervisor)];

@@ -49,6 +49,11 @@ impl FreeSpace {
         &self.rule
     }
 
+    /// The take-off place.
+    pub fn home(&self) -> Point<World> {
+        self.home
+    }
+
     /// Replaces the path flown.
     pub fn set_path(&mut self, path: impl IntoIterator<Item = Point<World>>) {
         self.path.clear();

@@ -20,6 +20,8 @@ pub struct PlannerProcess {
     state: Option<VehicleState>,
     /// Images of the current keyframes, mapped where they lie.
     images: Vec<(u64, StoredImage)>,
+    /// Whether the keyframes are looked at. Flying blind shows what avoidance is worth.
+    avoidance: bool,
     report: Report,
 }
 
@@ -40,8 +42,19 @@ impl PlannerProcess {
             goal: None,
             state: None,
             images: Vec::new(),
+            avoidance: true,
             report: Report::waiting("waiting for a map"),
         }
+    }
+
+    /// Flies without looking: everything counts as free. For comparisons in the simulator alone.
+    pub fn without_avoidance(mut self) -> Self {
+        let rule = self.view.free_space().rule();
+        let everywhere = FreeSpaceRule { home_radius_m: f64::INFINITY, home_height_m: f64::INFINITY, ..*rule };
+        let home = self.view.free_space().home();
+        *self.view.free_space_mut() = FreeSpace::new(everywhere, home);
+        self.avoidance = false;
+        self
     }
 
     /// Brings the view up to date with a keyframe set.
@@ -109,7 +122,9 @@ impl Process for PlannerProcess {
         let Some(set) = ports.latest::<Keyframes>() else {
             return self.report.idle();
         };
-        self.look(ports, set.elements());
+        if self.avoidance {
+            self.look(ports, set.elements());
+        }
         let Some(situation) = self.situation(ports.now()) else {
             return self.report.degraded(if self.goal.is_none() { "waiting for a goal" } else { "waiting for a state" });
         };

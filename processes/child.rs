@@ -1,0 +1,82 @@
+//! One process of the graph, as the supervisor spawns it.
+
+use crate::config::FlightConfig;
+use crate::graph;
+use crate::run_files::{CONFIG, LOG, VERSION};
+use clap::Args;
+use ipc_types::ProcessId;
+use recorder::RecorderProcess;
+use runtime::ipc::{DriveOptions, drive};
+use runtime::run_dir::RunDir;
+use simulator::SimulatorProcess;
+use std::error::Error;
+use std::path::PathBuf;
+use std::time::Duration;
+use stereo_ingest::{PairPlayer, StereoPair};
+
+/// What a child needs to know.
+#[derive(Clone, Debug, Args)]
+pub struct ChildArguments {
+    /// Which process.
+    #[arg(value_parser = parse_process)]
+    process: ProcessId,
+    /// Name of the run.
+    #[arg(long)]
+    run: String,
+    /// The run's folder, with its configuration.
+    #[arg(long)]
+    run_dir: PathBuf,
+    /// Which restart this is.
+    #[arg(long, default_value_t = 0)]
+    incarnation: u32,
+    /// Left image, for the player.
+    #[arg(long)]
+    left: Option<PathBuf>,
+    /// Right image, for the player.
+    #[arg(long)]
+    right: Option<PathBuf>,
+}
+
+fn parse_process(name: &str) -> Result<ProcessId, String> {
+    ProcessId::from_name(name).ok_or_else(|| format!("no process of that name; there are {:?}", ProcessId::ALL.map(ProcessId::name)))
+}
+
+/// Runs the process until it is told to stop.
+///
+/// # Errors
+/// The configuration cannot be read, or the run's services cannot be opened.
+pub fn run(arguments: &ChildArguments) -> Result<(), Box<dyn Error>> {
+    let path = arguments.run_dir.join(CONFIG);
+    let config = FlightConfig::load_snapshot(&path)?;
+    let run = RunDir::named(&arguments.run)?;
+    let lease = Duration::from_secs_f64(config.graph.lease_s);
+    let options = DriveOptions { incarnation: arguments.incarnation, lease };
+    let rig = &config.vehicle.rig;
+    match arguments.process {
+        ProcessId::StereoIngest => drive(graph::stereo_ingest(&config), &run, rig, options)?,
+        ProcessId::Expansion => drive(graph::expansion(&config), &run, rig, options)?,
+        ProcessId::Memory => drive(graph::memory(&config), &run, rig, options)?,
+        ProcessId::Planner => drive(graph::planner(&config), &run, rig, options)?,
+        ProcessId::Controller => drive(graph::controller(&config), &run, rig, options)?,
+        ProcessId::Simulator => drive(SimulatorProcess::threaded(graph::simulator(&config)), &run, rig, options)?,
+        ProcessId::Player => {
+            let (Some(left), Some(right)) = (&arguments.left, &arguments.right) else {
+                return Err("the player needs --left and --right".into());
+            };
+            drive(PairPlayer::new(StereoPair::load(left, right)?), &run, rig, options)?;
+        }
+        ProcessId::Recorder => {
+            let snapshot = config.snapshot();
+            let attachments = [(CONFIG, snapshot.as_str()), ("version.txt", VERSION)];
+            // A restarted recorder begins a new file: the old one ends where its writer was killed.
+            let name = match arguments.incarnation {
+                0 => LOG.to_owned(),
+                restart => format!("log.{restart}.mcap"),
+            };
+            let log = arguments.run_dir.join(name);
+            drive(RecorderProcess::create(&log, &attachments, config.record_images, rig)?, &run, rig, options)?;
+        }
+        ProcessId::Supervisor => return Err("the supervisor is `sparrowhawk fly`".into()),
+    }
+    Ok(())
+}

@@ -1,0 +1,86 @@
+//! The command line.
+
+use crate::child::{self, ChildArguments};
+use crate::config::FlightConfig;
+use crate::fly::{FlyArguments, fly};
+use crate::replay::{ReplayArguments, replay};
+use crate::run_files::VERSION;
+use clap::{Args, Parser, Subcommand};
+use std::error::Error;
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+/// Flies a micro air vehicle through clutter on stereo cameras alone.
+///
+/// Without a command it flies the default mission: takes off in a simulated forest, finds its way between trees that
+/// it sees only through a rendered stereo pair, and hovers at a goal 65 m away.
+#[derive(Debug, Parser)]
+#[command(name = "sparrowhawk", version = VERSION, args_conflicts_with_subcommands = true)]
+struct CommandLine {
+    #[command(subcommand)]
+    command: Option<Command>,
+    #[command(flatten)]
+    fly: FlyArguments,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Fly in the simulator. Exit status 0 only when the goal was reached without a collision.
+    Fly(FlyArguments),
+    /// Feed the graph with a real stereo pair: disparity, configuration space and occupancy.
+    Replay(ReplayArguments),
+    /// Check a configuration: every value, and how they fit each other.
+    Check(CheckArguments),
+    /// One process of a run; the supervisor starts these.
+    #[command(hide = true)]
+    Process(ChildArguments),
+}
+
+#[derive(Debug, Args)]
+struct CheckArguments {
+    /// Flight file (RON); the shipped config/default.ron if not given.
+    config: Option<PathBuf>,
+    /// World: forest, field, wall, or a RON file.
+    #[arg(long, value_name = "NAME|FILE")]
+    world: Option<String>,
+}
+
+/// Reads the command line and does what it says.
+///
+/// # Errors
+/// One message that says what was wrong, where, and what was expected.
+pub fn run() -> Result<ExitCode, Box<dyn Error>> {
+    let command_line = CommandLine::parse();
+    match command_line.command.unwrap_or(Command::Fly(command_line.fly)) {
+        Command::Fly(arguments) => fly(&arguments),
+        Command::Replay(arguments) => replay(&arguments),
+        Command::Check(arguments) => check(&arguments),
+        Command::Process(arguments) => child::run(&arguments).map(|()| ExitCode::SUCCESS),
+    }
+}
+
+fn check(arguments: &CheckArguments) -> Result<ExitCode, Box<dyn Error>> {
+    let config = FlightConfig::load(arguments.config.as_deref(), arguments.world.as_deref())?;
+    config.check()?;
+    let vehicle = &config.vehicle;
+    println!("{}: possible", arguments.config.as_ref().map_or("config/default.ron".into(), |path| path.display().to_string()));
+    println!("vehicle                {}, inflated by {} m", vehicle.name, vehicle.expansion.radius_m);
+    println!("stereo good for        {:.1} m (standard deviation of depth below the radius)", config.sensing_range_m());
+    println!(
+        "stopping distance      {:.1} m from {} m/s, latency included",
+        vehicle.planner.stopping_distance_m(config.mission.cruise_speed_mps),
+        config.mission.cruise_speed_mps
+    );
+    println!("candidates             {}", vehicle.planner.candidates());
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Sets `stop` on SIGINT and SIGTERM.
+pub(crate) fn stop_on_signals(stop: &Arc<AtomicBool>) -> std::io::Result<()> {
+    for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
+        signal_hook::flag::register(signal, Arc::clone(stop))?;
+    }
+    Ok(())
+}

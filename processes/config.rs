@@ -1,0 +1,360 @@
+//! The configuration of a flight: read from RON, checked whole, snapshotted for the children.
+//!
+//! No flight parameter has a silent default and no key is ignored. All violations are reported together, each with
+//! its file, path, value and allowed range. The files that ship are compiled in, so that the executable flies alone.
+
+use ipc_types::bounds::Bounds;
+use ipc_types::noise::NoiseModel;
+use ipc_types::rig::{CameraMount, StereoRig};
+use runtime::lockstep::LatencyModel;
+use serde::{Deserialize, Serialize};
+use serde::de::DeserializeOwned;
+use simulator::{SimulatorConfig, WorldConfig};
+use std::fs;
+use std::path::{Path, PathBuf};
+use supervisor::{MissionConfig, RestartRule};
+
+/// Why a configuration was refused.
+#[derive(Debug, thiserror::Error)]
+pub enum ConfigError {
+    /// A file cannot be read.
+    #[error("{path}: {source}")]
+    Io {
+        /// The file.
+        path: String,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// A file is not what it should be.
+    #[error("{path}:{line}:{column}: {problem}")]
+    Syntax {
+        /// The file.
+        path: String,
+        /// Line, from 1.
+        line: usize,
+        /// Column, from 1.
+        column: usize,
+        /// What is wrong there.
+        problem: String,
+    },
+    /// Values out of range, or that do not fit each other.
+    #[error("configuration has {} impossible value(s):\n  {}", .0.len(), .0.join("\n  "))]
+    Impossible(Vec<String>),
+}
+
+/// The top file: names the others.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct FlightFile {
+    vehicle: String,
+    world: String,
+    graph: String,
+    mission: MissionConfig,
+}
+
+/// A vehicle: geometry and the parameters of every stage.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct VehicleConfig {
+    /// What it is called.
+    pub name: String,
+    /// Stereo rig.
+    pub rig: StereoRig,
+    /// Where the camera sits.
+    pub mount: CameraMount,
+    /// Stereo noise.
+    pub noise: NoiseModel,
+    /// Matcher.
+    pub stereo: stereo_ingest::Config,
+    /// Expansion.
+    pub expansion: expansion::Config,
+    /// Memory.
+    pub memory: memory::Config,
+    /// Planner.
+    pub planner: planner::Config,
+    /// Controller.
+    pub controller: controller::Config,
+    /// How the simulator imitates it.
+    pub simulator: SimulatorConfig,
+}
+
+/// The process graph: restarting and latencies.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct GraphConfig {
+    /// How long a process lives on after its supervisor has died, s.
+    pub lease_s: f64,
+    /// Restarting.
+    pub restart: RestartRule,
+    /// Latencies of the lockstep driver.
+    pub latency: LatencyModel,
+}
+
+/// Everything a flight depends on. The children read it from the run directory.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FlightConfig {
+    /// The vehicle.
+    pub vehicle: VehicleConfig,
+    /// The world.
+    pub world: WorldConfig,
+    /// The graph.
+    pub graph: GraphConfig,
+    /// The mission.
+    pub mission: MissionConfig,
+    /// Seed of the world and of all noise.
+    pub seed: u64,
+    /// Whether the planner looks at the map.
+    pub avoidance: bool,
+    /// Whether images are recorded.
+    pub record_images: bool,
+}
+
+/// The configuration files that ship, compiled in.
+const SHIPPED: [(&str, &str); 6] = [
+    ("default.ron", include_str!("../config/default.ron")),
+    ("vehicles/scout.ron", include_str!("../config/vehicles/scout.ron")),
+    ("worlds/forest.ron", include_str!("../config/worlds/forest.ron")),
+    ("worlds/field.ron", include_str!("../config/worlds/field.ron")),
+    ("worlds/wall.ron", include_str!("../config/worlds/wall.ron")),
+    ("graphs/droan.ron", include_str!("../config/graphs/droan.ron")),
+];
+
+/// Largest configuration file, bytes.
+const LARGEST_FILE: u64 = 1 << 20;
+
+/// Where files come from: a folder, or the shipped ones.
+enum Source {
+    Shipped,
+    Folder(PathBuf),
+}
+
+impl Source {
+    /// Label for messages, and text.
+    fn read(&self, name: &str) -> Result<(String, String), ConfigError> {
+        match self {
+            Self::Shipped => match SHIPPED.iter().find(|(shipped, _)| *shipped == name) {
+                Some((_, text)) => Ok((format!("config/{name}"), (*text).to_owned())),
+                None => {
+                    let source = std::io::Error::new(std::io::ErrorKind::NotFound, "not among the shipped files");
+                    Err(ConfigError::Io { path: format!("config/{name}"), source })
+                }
+            },
+            Self::Folder(folder) => {
+                let path = folder.join(name);
+                let label = path.display().to_string();
+                read_text(&path).map(|text| (label, text))
+            }
+        }
+    }
+}
+
+fn read_text(path: &Path) -> Result<String, ConfigError> {
+    let io = |source| ConfigError::Io { path: path.display().to_string(), source };
+    let size = fs::metadata(path).map_err(io)?.len();
+    if size > LARGEST_FILE {
+        let message = format!("has {size} bytes, a configuration may have {LARGEST_FILE}");
+        return Err(io(std::io::Error::new(std::io::ErrorKind::FileTooLarge, message)));
+    }
+    fs::read_to_string(path).map_err(io)
+}
+
+fn parse<T: DeserializeOwned>(path: &str, text: &str) -> Result<T, ConfigError> {
+    ron::from_str(text).map_err(|error| ConfigError::Syntax {
+        path: path.to_owned(),
+        line: error.span.start.line,
+        column: error.span.start.col,
+        problem: error.code.to_string(),
+    })
+}
+
+impl FlightConfig {
+    /// Reads a flight file and the files it names, or the shipped ones. Another world may be asked for: a file, or
+    /// the name of a shipped one. Checks each file's values; [`FlightConfig::check`] checks how they fit.
+    ///
+    /// # Errors
+    /// The first file that cannot be read or parsed; else all impossible values.
+    pub fn load(path: Option<&Path>, world: Option<&str>) -> Result<Self, ConfigError> {
+        let (source, top) = match path {
+            None => (Source::Shipped, "default.ron".to_owned()),
+            Some(path) => {
+                let folder = path.parent().unwrap_or(Path::new("")).to_owned();
+                (Source::Folder(folder), path.file_name().unwrap_or_default().to_string_lossy().into_owned())
+            }
+        };
+        let (label, text) = source.read(&top)?;
+        let file: FlightFile = parse(&label, &text)?;
+        let (vehicle_path, text) = source.read(&file.vehicle)?;
+        let vehicle: VehicleConfig = parse(&vehicle_path, &text)?;
+        let (world_path, text) = match world {
+            None => source.read(&file.world)?,
+            Some(name) if SHIPPED.iter().any(|(shipped, _)| *shipped == format!("worlds/{name}.ron")) => {
+                Source::Shipped.read(&format!("worlds/{name}.ron"))?
+            }
+            Some(path) => (path.to_owned(), read_text(Path::new(path))?),
+        };
+        let world = parse(&world_path, &text)?;
+        let (graph_path, text) = source.read(&file.graph)?;
+        let graph = parse(&graph_path, &text)?;
+        let config =
+            Self { vehicle, world, graph, mission: file.mission, seed: 0, avoidance: true, record_images: false };
+        let files = [label, vehicle_path, world_path, graph_path];
+        config.check_values(&files)?;
+        Ok(config)
+    }
+
+    /// Reads a snapshot that [`FlightConfig::snapshot`] wrote.
+    ///
+    /// # Errors
+    /// It cannot be read, or is not one.
+    pub fn load_snapshot(path: &Path) -> Result<Self, ConfigError> {
+        parse(&path.display().to_string(), &read_text(path)?)
+    }
+
+    /// The whole configuration as RON.
+    pub fn snapshot(&self) -> String {
+        let pretty = ron::ser::PrettyConfig::new().compact_arrays(true);
+        // Plain structures of numbers and texts always serialise.
+        ron::ser::to_string_pretty(self, pretty).unwrap_or_else(|_| unreachable!("plain data"))
+    }
+
+    fn check_values(&self, [flight, vehicle, world, graph]: &[String; 4]) -> Result<(), ConfigError> {
+        let mut bounds = Bounds::default();
+        bounds.section(&format!("{vehicle}: "), |bounds| self.vehicle.check(bounds));
+        bounds.section(&format!("{world}: "), |bounds| self.world.check(bounds));
+        bounds.section(&format!("{graph}: "), |bounds| self.graph.check(bounds));
+        bounds.section(&format!("{flight}: "), |bounds| bounds.section("mission", |bounds| self.mission.check(bounds)));
+        impossible(bounds)
+    }
+
+    /// Checks values, wherever they came from, and how vehicle and mission fit each other.
+    ///
+    /// # Errors
+    /// All impossible values.
+    pub fn check(&self) -> Result<(), ConfigError> {
+        let mut bounds = Bounds::default();
+        bounds.section("vehicle", |bounds| self.vehicle.check(bounds));
+        bounds.section("world", |bounds| self.world.check(bounds));
+        bounds.section("graph", |bounds| self.graph.check(bounds));
+        bounds.section("mission", |bounds| self.mission.check(bounds));
+        self.check_stopping(&mut bounds);
+        impossible(bounds)
+    }
+
+    /// Checks the vehicle alone: what a replay needs.
+    ///
+    /// # Errors
+    /// All impossible values.
+    pub fn check_vehicle(&self) -> Result<(), ConfigError> {
+        let mut bounds = Bounds::default();
+        bounds.section("vehicle", |bounds| self.vehicle.check(bounds));
+        impossible(bounds)
+    }
+
+    /// Range at which the stereo noise is still small against the vehicle: σ_z = z²·σ/(f·b) = radius, m.
+    pub fn sensing_range_m(&self) -> f64 {
+        let vehicle = &self.vehicle;
+        let radius_m = f64::from(vehicle.expansion.radius_m);
+        (radius_m * vehicle.rig.focal_baseline_px_m() / f64::from(vehicle.noise.sigma_px)).sqrt()
+    }
+
+    fn check_stopping(&self, bounds: &mut Bounds) {
+        let (vehicle, speed_mps) = (&self.vehicle, self.mission.cruise_speed_mps);
+        let stopping_m = vehicle.planner.stopping_distance_m(speed_mps) + f64::from(vehicle.expansion.radius_m);
+        let range_m = self.sensing_range_m();
+        bounds.require(
+            stopping_m < range_m,
+            "mission.cruise_speed_mps",
+            format_args!("is {speed_mps} m/s: stopping takes {stopping_m:.1} m, but stereo is good for {range_m:.1} m"),
+        );
+        // Level acceleration at the candidates' limit against drag at cruise speed.
+        let pull_mps2 = vehicle.planner.acceleration_mps2 + vehicle.simulator.vehicle.drag_hz * speed_mps;
+        let tilt_deg = (pull_mps2 / 9.806_65).atan().to_degrees();
+        let margin_deg = vehicle.rig.half_view_down_rad().to_degrees() + vehicle.mount.pitch_up_deg - tilt_deg;
+        bounds.require(
+            margin_deg >= 10.0,
+            "vehicle.mount.pitch_up_deg",
+            format_args!(
+                "is {}: tilted by {tilt_deg:.0} degrees the camera sees {margin_deg:.0} degrees above the flight path, at least 10 are needed",
+                vehicle.mount.pitch_up_deg
+            ),
+        );
+    }
+}
+
+fn impossible(bounds: Bounds) -> Result<(), ConfigError> {
+    // A section that names a file ends in a colon; the path goes on after it.
+    let violations: Vec<_> = bounds.into_violations().into_iter().map(|text| text.replacen(": .", ": ", 1)).collect();
+    if violations.is_empty() { Ok(()) } else { Err(ConfigError::Impossible(violations)) }
+}
+
+impl VehicleConfig {
+    fn check(&self, bounds: &mut Bounds) {
+        bounds.section("rig", |bounds| self.rig.check(bounds));
+        bounds.section("mount", |bounds| self.mount.check(bounds));
+        bounds.section("noise", |bounds| self.noise.check(bounds));
+        bounds.section("stereo", |bounds| self.stereo.check(bounds, &self.rig));
+        bounds.section("expansion", |bounds| self.expansion.check(bounds));
+        bounds.section("memory", |bounds| self.memory.check(bounds));
+        bounds.section("planner", |bounds| self.planner.check(bounds));
+        bounds.section("controller", |bounds| self.controller.check(bounds));
+        bounds.section("simulator", |bounds| self.simulator.check(bounds));
+        let hull_m = self.simulator.vehicle.hull_radius_m;
+        let (radius_m, body_m) = (f64::from(self.expansion.radius_m), f64::from(self.expansion.body_radius_m));
+        bounds.require(
+            radius_m >= hull_m + TRACKING_MARGIN_M,
+            "expansion.radius_m",
+            format_args!("is {radius_m}, must be at least the hull's {hull_m} m plus {TRACKING_MARGIN_M} m of tracking error"),
+        );
+        bounds.require(body_m >= hull_m, "expansion.body_radius_m", format_args!("is {body_m}, must be at least the hull's {hull_m} m"));
+        let deadline_s = self.controller.trajectory_deadline_s + self.planner.lead_s;
+        bounds.require(
+            self.planner.commit_s >= deadline_s,
+            "planner.commit_s",
+            format_args!("is {}, must be at least controller.trajectory_deadline_s + planner.lead_s = {deadline_s}", self.planner.commit_s),
+        );
+        let able = self.simulator.vehicle.acceleration_mps2;
+        for (key, value) in
+            [("planner.acceleration_mps2", self.planner.acceleration_mps2), ("planner.braking_mps2", self.planner.braking_mps2)]
+        {
+            bounds.require(value < able, key, format_args!("is {value}, must be below what the vehicle can, {able} m/s²"));
+        }
+    }
+}
+
+/// Least allowance for tracking and state errors, m.
+const TRACKING_MARGIN_M: f64 = 0.1;
+
+impl GraphConfig {
+    fn check(&self, bounds: &mut Bounds) {
+        bounds.range("lease_s", self.lease_s, 0.0..=60.0);
+        bounds.section("restart", |bounds| self.restart.check(bounds));
+        bounds.section("latency", |bounds| self.latency.check(bounds));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_ships_is_possible() {
+        for world in [None, Some("forest"), Some("field"), Some("wall")] {
+            let config = FlightConfig::load(None, world).expect("loads");
+            config.check().expect("fits");
+            let snapshot = config.snapshot();
+            assert_eq!(parse::<FlightConfig>("snapshot", &snapshot).expect("reads back"), config);
+        }
+    }
+
+    #[test]
+    fn violations_are_reported_together() {
+        let mut config = FlightConfig::load(None, None).expect("loads");
+        config.vehicle.noise.sigma_px = f32::NAN;
+        config.mission.cruise_speed_mps = 19.0;
+        config.vehicle.mount.pitch_up_deg = -30.0;
+        let Err(ConfigError::Impossible(violations)) = config.check() else { panic!("accepted") };
+        assert!(violations.iter().any(|v| v.starts_with("vehicle.noise.sigma_px is NaN")), "{violations:?}");
+        assert!(violations.len() >= 3, "{violations:?}");
+    }
+}

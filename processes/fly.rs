@@ -1,0 +1,240 @@
+//! `sparrowhawk fly`: a flight in the simulator, over processes or in lockstep.
+
+use crate::config::FlightConfig;
+use crate::display::{Display, why_not_ready};
+use crate::graph::Flight;
+use crate::run_files::{CONFIG, RunFiles, VERSION, fresh_name};
+use clap::Args;
+use ipc_types::ProcessId;
+use recorder::RecorderProcess;
+use runtime::ipc::{IpcPorts, Services};
+use runtime::run_dir::RunDir;
+use runtime::{Connect, Process};
+use std::error::Error;
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::time::Duration;
+use supervisor::{ChildCommand, ChildStatus, Happening, LatencySummary, Mission, Outcome, ProcessSummary, Summary, Supervision};
+
+/// Options of a flight.
+#[derive(Clone, Debug, Args)]
+pub(crate) struct FlyArguments {
+    /// Flight file (RON); the shipped config/default.ron if not given.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) config: Option<PathBuf>,
+    /// World: forest, field, wall, or a RON file.
+    #[arg(long, value_name = "NAME|FILE")]
+    pub(crate) world: Option<String>,
+    /// Seed of the world and of all noise.
+    #[arg(long, default_value_t = 1)]
+    pub(crate) seed: u64,
+    /// Goal, in metres of the world: x,y,z.
+    #[arg(long, value_name = "X,Y,Z", value_parser = parse_point, allow_hyphen_values = true)]
+    pub(crate) goal: Option<[f64; 3]>,
+    /// Highest speed on the way, m/s.
+    #[arg(long, value_name = "M/S")]
+    pub(crate) speed: Option<f64>,
+    /// Give up after this much flight time, s.
+    #[arg(long, value_name = "S")]
+    pub(crate) time_limit: Option<f64>,
+    /// All processes in one thread, repeatable to the bit, as fast as the machine can.
+    #[arg(long)]
+    pub(crate) lockstep: bool,
+    /// Fly without looking: shows what avoidance is worth.
+    #[arg(long)]
+    pub(crate) no_avoidance: bool,
+    /// Record images too.
+    #[arg(long)]
+    pub(crate) record_images: bool,
+    /// Name of the run; two runs at a time need two names.
+    #[arg(long, value_name = "NAME")]
+    pub(crate) run: Option<String>,
+    /// Where run directories go.
+    #[arg(long, value_name = "DIR", default_value = "runs")]
+    pub(crate) run_dir: PathBuf,
+    /// Write the summary to this file as well.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) summary: Option<PathBuf>,
+}
+
+fn parse_point(text: &str) -> Result<[f64; 3], String> {
+    let values: Vec<f64> = text.split(',').map(|value| value.trim().parse()).collect::<Result<_, _>>().map_err(|_| expected(text))?;
+    values.try_into().map_err(|_| expected(text))
+}
+
+fn expected(text: &str) -> String {
+    format!("is \"{text}\", expected three numbers x,y,z")
+}
+
+impl FlyArguments {
+    /// The configuration with the command line's wishes, checked.
+    fn configuration(&self) -> Result<FlightConfig, Box<dyn Error>> {
+        let mut config = FlightConfig::load(self.config.as_deref(), self.world.as_deref())?;
+        config.seed = self.seed;
+        config.avoidance = !self.no_avoidance;
+        config.record_images = self.record_images;
+        config.mission.goal_m = self.goal.unwrap_or(config.mission.goal_m);
+        config.mission.cruise_speed_mps = self.speed.unwrap_or(config.mission.cruise_speed_mps);
+        config.mission.time_limit_s = self.time_limit.unwrap_or(config.mission.time_limit_s);
+        config.check()?;
+        Ok(config)
+    }
+}
+
+/// Flies; the exit code says whether it arrived.
+pub(crate) fn fly(arguments: &FlyArguments) -> Result<ExitCode, Box<dyn Error>> {
+    let config = arguments.configuration()?;
+    let name = arguments.run.clone().unwrap_or_else(fresh_name);
+    let run = RunDir::named(&name)?;
+    let summary = if arguments.lockstep {
+        let files = RunFiles::create(&arguments.run_dir, &name, &config)?;
+        let summary = fly_in_lockstep(&config, &files)?;
+        files.write_summary(&summary, arguments.summary.as_deref())?;
+        print!("{}", report(&summary, files.folder()));
+        summary
+    } else {
+        let lock = run.take()?;
+        let files = RunFiles::create(&arguments.run_dir, &name, &config)?;
+        let summary = fly_processes(&config, &run, &files)?;
+        drop(lock);
+        files.write_summary(&summary, arguments.summary.as_deref())?;
+        print!("{}", report(&summary, files.folder()));
+        summary
+    };
+    Ok(if summary.outcome == Outcome::Arrived { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
+
+fn fly_in_lockstep(config: &FlightConfig, files: &RunFiles) -> Result<Summary, Box<dyn Error>> {
+    let stop = std::sync::Arc::new(std::sync::atomic::AtomicBool::new(false));
+    crate::cli::stop_on_signals(&stop)?;
+    let snapshot = config.snapshot();
+    let attachments = [(CONFIG, snapshot.as_str()), ("version.txt", VERSION)];
+    let recorder = RecorderProcess::create(&files.log(), &attachments, config.record_images, &config.vehicle.rig)?;
+    let mut display = Display::new(config.mission.goal());
+    let summary = Flight::new(config, Some(recorder)).fly(|mission| {
+        display.show(mission, &[]);
+        !stop.load(std::sync::atomic::Ordering::Relaxed)
+    });
+    display.clear();
+    Ok(summary)
+}
+
+/// The children of a flight, in order of start.
+const CHILDREN: [ProcessId; 7] = [
+    ProcessId::Recorder,
+    ProcessId::StereoIngest,
+    ProcessId::Expansion,
+    ProcessId::Memory,
+    ProcessId::Planner,
+    ProcessId::Controller,
+    ProcessId::Simulator,
+];
+
+/// The command line of a child.
+pub(crate) fn command(config: &FlightConfig, run: &RunDir, folder: &Path, process: ProcessId) -> std::io::Result<ChildCommand> {
+    let program = std::env::current_exe()?.display().to_string();
+    let folder = folder.display().to_string();
+    let arguments = [program.as_str(), "process", process.name(), "--run", run.name(), "--run-dir", &folder];
+    // The simulator is the world: its death ends the run.
+    let is_world = matches!(process, ProcessId::Simulator | ProcessId::Player);
+    Ok(ChildCommand {
+        process,
+        arguments: arguments.map(str::to_owned).to_vec(),
+        restart: (!is_world).then_some(config.graph.restart),
+    })
+}
+
+fn fly_processes(config: &FlightConfig, run: &RunDir, files: &RunFiles) -> Result<Summary, Box<dyn Error>> {
+    let services = Services::create(run)?;
+    let mut mission = Mission::new(config.mission);
+    let mut ports = IpcPorts::open(run, ProcessId::Supervisor, 0, &config.vehicle.rig, |ports| {
+        mission.connect(ports);
+        ports.reads::<ipc_types::topics::Clock>();
+    })?;
+    let commands: std::io::Result<Vec<_>> = CHILDREN.map(|process| command(config, run, files.folder(), process)).into_iter().collect();
+    let mut supervision = Supervision::start(commands?)?;
+    let mut display = Display::new(config.mission.goal());
+    while mission.outcome().is_none() {
+        match supervision.attend(&services, ATTENTION) {
+            Happening::Signal(_) => mission.end(Outcome::Interrupted),
+            Happening::RunEnded(process, how) => {
+                eprintln!("sparrowhawk: {process} {how}: the run is over");
+                mission.end(Outcome::ProcessLost);
+            }
+            Happening::Died(process, how) => eprintln!("sparrowhawk: {process} {how}: restarting it"),
+            Happening::Nothing => {}
+        }
+        ports.refresh();
+        mission.step(&mut ports);
+        ports.serve_late_subscribers();
+        mission.take_heartbeats().iter().for_each(|health| supervision.heard(health));
+        display.show(&mission, &supervision.status());
+    }
+    display.clear();
+    if mission.truth().is_none_or(|truth| truth.airborne == 0) {
+        eprintln!("sparrowhawk: never took off: {}", why_not_ready(&supervision.status()));
+    }
+    let children = supervision.stop();
+    Ok(with_processes(mission.summary(), &children))
+}
+
+/// Longest time between two looks at the topics.
+const ATTENTION: Duration = Duration::from_millis(10);
+
+/// Adds the processes, the supervisor among them.
+fn with_processes(mut summary: Summary, children: &[ChildStatus]) -> Summary {
+    summary.processes = children.iter().map(ProcessSummary::of).collect();
+    summary.restarts = children.iter().map(|child| child.restarts).sum();
+    summary.processes.push(ProcessSummary {
+        name: ProcessId::Supervisor.name().to_owned(),
+        pid: Some(std::process::id()),
+        restarts: 0,
+        longest_recovery_ms: None,
+        dropped: 0,
+        longest_step_ms: 0.0,
+    });
+    summary
+}
+
+/// The flight report, as text.
+pub fn report(summary: &Summary, folder: &Path) -> String {
+    let outcome = match summary.outcome {
+        Outcome::Arrived => "arrived",
+        Outcome::Collided => "COLLIDED",
+        Outcome::GaveUp => "gave up: no way was found",
+        Outcome::TimedOut => "timed out",
+        Outcome::Interrupted => "interrupted",
+        Outcome::ProcessLost => "ended by the loss of a process",
+    };
+    let clearance = summary.min_clearance_m.map_or("more than 5 m".to_owned(), |m| format!("{m:.2} m"));
+    let mut text = String::new();
+    // Writing to a string cannot fail.
+    let mut line = |label: &str, value: String| {
+        let _ = writeln!(text, "{label:<22} {value}");
+    };
+    line("outcome", format!("{outcome}, {:.2} m from the goal", summary.distance_to_goal_m));
+    line("flight time", format!("{:.1} s", summary.flight_time_s));
+    line("path", format!("{:.1} m flown, {:.1} m straight", summary.path_length_m, summary.straight_line_m));
+    line("least clearance", clearance);
+    line("speed", format!(
+        "cruise {:.1} m/s, mean {:.1} m/s, highest {:.1} m/s",
+        summary.cruise_speed_mps, summary.mean_speed_mps, summary.max_speed_mps
+    ));
+    line("replans", summary.replans.to_string());
+    line("stereo pairs", format!("{}, of which {} led to no map", summary.frames, summary.frames_without_map));
+    line("clock", format!("{:.3} flight seconds per second", summary.clock_ratio));
+    let latency = |l: &LatencySummary| format!("p50 {:6.1} ms   p99 {:6.1} ms   max {:6.1} ms", l.p50_ms, l.p99_ms, l.max_ms);
+    for stage in ["camera", "stereo-ingest", "expansion", "memory", "planner"] {
+        if let Some(summary) = summary.stages.get(stage) {
+            line(stage, latency(summary));
+        }
+    }
+    line("exposure → command", latency(&summary.exposure_to_command));
+    line("restarts", summary.restarts.to_string());
+    if let Some(hash) = &summary.log_hash {
+        line("message log hash", hash.clone());
+    }
+    line("run directory", folder.display().to_string());
+    text
+}

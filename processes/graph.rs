@@ -1,0 +1,101 @@
+//! From configuration to processes.
+
+use crate::config::FlightConfig;
+use controller::ControllerProcess;
+use expansion::ExpansionProcess;
+use memory::MemoryProcess;
+use planner::PlannerProcess;
+use recorder::RecorderProcess;
+use runtime::lockstep::Lockstep;
+use simulator::{SimulatorSetup, World};
+use std::cell::RefCell;
+use std::rc::Rc;
+use std::sync::Arc;
+use stereo_ingest::StereoProcess;
+use supervisor::{Mission, Outcome, Summary};
+
+/// The stereo-ingest process of a configuration.
+pub fn stereo_ingest(config: &FlightConfig) -> StereoProcess {
+    StereoProcess::new(config.vehicle.rig, config.vehicle.stereo)
+}
+
+/// The expansion process of a configuration.
+pub fn expansion(config: &FlightConfig) -> ExpansionProcess {
+    ExpansionProcess::new(config.vehicle.rig, &config.vehicle.noise, config.vehicle.expansion)
+}
+
+/// The memory process of a configuration.
+pub fn memory(config: &FlightConfig) -> MemoryProcess {
+    MemoryProcess::new(config.vehicle.rig, config.vehicle.mount, config.vehicle.memory)
+}
+
+/// The planner process of a configuration.
+pub fn planner(config: &FlightConfig) -> PlannerProcess {
+    let (vehicle, mission) = (&config.vehicle, &config.mission);
+    let rule = vehicle.memory.free_space;
+    let planner =
+        PlannerProcess::new(vehicle.rig, vehicle.noise, rule, vehicle.planner.clone(), mission.fence, mission.start());
+    if config.avoidance { planner } else { planner.without_avoidance() }
+}
+
+/// The controller process of a configuration.
+pub fn controller(config: &FlightConfig) -> ControllerProcess {
+    ControllerProcess::new(config.vehicle.controller, config.mission.fence)
+}
+
+/// The world of a configuration.
+pub fn world(config: &FlightConfig) -> World {
+    World::grow(&config.world, config.seed, &[config.mission.start(), config.mission.goal()])
+}
+
+/// What the simulator of a configuration is made from.
+pub fn simulator(config: &FlightConfig) -> SimulatorSetup {
+    SimulatorSetup {
+        config: config.vehicle.simulator,
+        rig: config.vehicle.rig,
+        mount: config.vehicle.mount,
+        world: Arc::new(world(config)),
+        start: config.mission.start(),
+        start_yaw_rad: config.mission.start_heading_deg.to_radians(),
+        seed: config.seed,
+    }
+}
+
+/// A whole flight in lockstep.
+#[derive(Debug)]
+pub struct Flight {
+    lockstep: Lockstep,
+    mission: Rc<RefCell<Mission>>,
+}
+
+impl Flight {
+    /// Connects the graph; records if given a recorder.
+    pub fn new(config: &FlightConfig, recorder: Option<RecorderProcess>) -> Self {
+        let mut lockstep = Lockstep::new(config.seed, config.graph.latency.clone());
+        let mission = lockstep.add(Mission::new(config.mission));
+        lockstep.add(simulator::SimulatorProcess::inline(simulator(config)));
+        lockstep.add(stereo_ingest(config));
+        lockstep.add(expansion(config));
+        lockstep.add(memory(config));
+        lockstep.add(planner(config));
+        lockstep.add(controller(config));
+        recorder.map(|recorder| lockstep.add(recorder));
+        Self { lockstep, mission }
+    }
+
+    /// Flies to the end. `watch` is called as flight time passes; when it returns false the flight is interrupted.
+    pub fn fly(&mut self, mut watch: impl FnMut(&Mission) -> bool) -> Summary {
+        let mission = Rc::clone(&self.mission);
+        self.lockstep.run(|_| {
+            let mut mission = mission.borrow_mut();
+            if !watch(&mission) {
+                mission.end(Outcome::Interrupted);
+            }
+            mission.outcome().is_some()
+        });
+        let mut summary = self.mission.borrow().summary();
+        summary.log_hash = Some(format!("{:032x}", self.lockstep.log_hash()));
+        summary.clock_ratio = 1.0;
+        summary
+    }
+}

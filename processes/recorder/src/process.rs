@@ -1,0 +1,152 @@
+//! The recorder process: every topic in, one MCAP file out.
+
+use crate::encode;
+use crate::log::{LogError, LogWriter};
+use ipc_types::topics::{self, Topic};
+use ipc_types::wire::Header;
+use ipc_types::{FlightTime, ProcessId, StereoRig, for_each_topic};
+use runtime::{Connect, Message, Ports, Process, Report, host_now};
+use std::collections::{BTreeMap, HashMap};
+use std::path::Path;
+use std::time::Duration;
+
+/// Flight time between drains.
+const INTERVAL: Duration = Duration::from_millis(50);
+/// Host time between flushes.
+const FLUSH_INTERVAL: Duration = Duration::from_millis(500);
+
+/// Records a run.
+#[derive(Debug)]
+pub struct RecorderProcess {
+    log: LogWriter,
+    channels: HashMap<&'static str, u16>,
+    /// Last sequence per topic, producer and incarnation.
+    sequences: HashMap<(&'static str, u32, u32), u64>,
+    lost: BTreeMap<String, u64>,
+    images: bool,
+    width: usize,
+    next: FlightTime,
+    flushed: ipc_types::HostTime,
+    report: Report,
+}
+
+impl RecorderProcess {
+    /// Records to a new file, with texts attached (name, content). `images` asks for pixels too.
+    ///
+    /// # Errors
+    /// The file cannot be created.
+    pub fn create(path: &Path, attachments: &[(&str, &str)], images: bool, rig: &StereoRig) -> Result<Self, LogError> {
+        let mut log = LogWriter::create(path)?;
+        for (name, text) in attachments {
+            log.attach(name, text)?;
+        }
+        let mut channels = HashMap::new();
+        macro_rules! add {
+            ($($topic:ident),*) => {$(
+                let info = topics::$topic::INFO;
+                if !info.is_image {
+                    let schema = encode::schema::<topics::$topic>();
+                    channels.insert(info.name, log.add_channel(info.name, info.header_type, &schema)?);
+                } else if images {
+                    channels.insert(info.name, log.add_channel(info.name, "foxglove.RawImage", encode::IMAGE_SCHEMA)?);
+                }
+            )*};
+        }
+        for_each_topic!(add);
+        Ok(Self {
+            log,
+            channels,
+            sequences: HashMap::new(),
+            lost: BTreeMap::new(),
+            images,
+            width: rig.width_px as usize,
+            next: FlightTime::ZERO,
+            flushed: host_now(),
+            report: Report::waiting("starting"),
+        })
+    }
+
+    fn drain<T: Topic>(&mut self, ports: &mut impl Ports) -> Result<(), LogError> {
+        while let Some(message) = ports.receive::<T>() {
+            let stamp = *message.header().stamp();
+            let key = (T::INFO.name, stamp.producer, stamp.incarnation);
+            let expected = self.sequences.insert(key, stamp.sequence).map_or(stamp.sequence, |last| last + 1);
+            if stamp.sequence > expected {
+                *self.lost.entry(T::INFO.name.to_owned()).or_default() += stamp.sequence - expected;
+            }
+            let Some(&channel) = self.channels.get(T::INFO.name) else { continue };
+            let json = if T::INFO.is_image {
+                encode::image::<T>(message.header(), message.elements(), self.width)
+            } else {
+                encode::message::<T>(message.header(), message.elements())
+            };
+            self.log.write(channel, stamp.sequence, stamp.valid_ns, stamp.published_ns, &json)?;
+        }
+        Ok(())
+    }
+
+    fn drain_all(&mut self, ports: &mut impl Ports) -> Result<(), LogError> {
+        macro_rules! drain {
+            ($($topic:ident),*) => {$(
+                if !topics::$topic::INFO.is_image || self.images {
+                    self.drain::<topics::$topic>(ports)?;
+                }
+            )*};
+        }
+        for_each_topic!(drain);
+        Ok(())
+    }
+
+    /// Writes the index and ends the file. Called by `drop` too.
+    fn finish(&mut self) {
+        let lost = self.lost.iter().map(|(topic, count)| (format!("lost {topic}"), count.to_string()));
+        // The log is readable without its end; there is nobody left to tell.
+        let _ = self.log.finish(lost.collect());
+    }
+}
+
+impl Drop for RecorderProcess {
+    fn drop(&mut self) {
+        self.finish();
+    }
+}
+
+impl Process for RecorderProcess {
+    const ID: ProcessId = ProcessId::Recorder;
+
+    fn connect(&self, connect: &mut impl Connect) {
+        macro_rules! read {
+            ($($topic:ident),*) => {$(
+                if !topics::$topic::INFO.is_image || self.images {
+                    connect.reads::<topics::$topic>();
+                }
+            )*};
+        }
+        for_each_topic!(read);
+    }
+
+    fn step<P: Ports>(&mut self, ports: &mut P) -> Report {
+        if ports.now() < self.next {
+            return self.report.idle();
+        }
+        self.next = ports.now() + INTERVAL;
+        match self.drain_all(ports) {
+            Ok(()) => self.report.worked(),
+            // Full disk, or a file that went away: the flight goes on without its log, and says so.
+            Err(_) => self.report.refuse("cannot write the log"),
+        }
+    }
+
+    fn next_wake(&self) -> Option<FlightTime> {
+        Some(self.next)
+    }
+
+    fn housekeep(&mut self) {
+        if host_now().saturating_since(self.flushed) >= FLUSH_INTERVAL {
+            self.flushed = host_now();
+            if self.log.flush().is_err() {
+                self.report.refuse("cannot write the log");
+            }
+        }
+    }
+}

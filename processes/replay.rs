@@ -1,0 +1,331 @@
+//! `sparrowhawk replay`: a real stereo pair through the multi-process graph.
+
+use crate::config::FlightConfig;
+use crate::fly::command;
+use crate::run_files::{RunFiles, fresh_name};
+use clap::Args;
+use ipc_types::disparity::is_valid;
+use ipc_types::messages::{ExpandedPlanes, Keyframe, UNKNOWN_FRONT};
+use ipc_types::topics::{Disparity, Expanded, HealthReports, Keyframes, StereoFrames, Topic};
+use ipc_types::wire::Header;
+use ipc_types::{Camera, Point, Pose, ProcessId, StereoRig, Vector, World};
+use memory::{FreeSpace, Occupancy, View};
+use runtime::ipc::{IpcPorts, Services};
+use runtime::run_dir::RunDir;
+use runtime::{Connect, Message, Ports};
+use serde::Serialize;
+use std::error::Error;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::time::{Duration, Instant};
+use stereo_ingest::{DisparityError, GroundTruth, StereoPair, load_calibration, save_disparity};
+use supervisor::{Happening, Supervision};
+
+/// Options of a replay.
+#[derive(Clone, Debug, Args)]
+pub(crate) struct ReplayArguments {
+    /// Left image: PNG, JPEG, PGM/PPM or BMP, rectified.
+    left: PathBuf,
+    /// Right image, of the same size.
+    right: PathBuf,
+    /// Calibration: RON (width_px, height_px, focal_px, cx_px, cy_px, baseline_m, doffs_px) or Middlebury's calib.txt.
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["focal", "baseline"])]
+    calib: Option<PathBuf>,
+    /// Focal length, px, instead of a calibration file.
+    #[arg(long, value_name = "PX", requires = "baseline")]
+    focal: Option<f64>,
+    /// Baseline, m.
+    #[arg(long, value_name = "M", requires = "focal")]
+    baseline: Option<f64>,
+    /// Principal point, px: x,y. The image's centre if not given.
+    #[arg(long, value_name = "X,Y", value_parser = parse_pair)]
+    centre: Option<[f64; 2]>,
+    /// Difference of the principal points' columns, px.
+    #[arg(long, value_name = "PX", default_value_t = 0.0, allow_hyphen_values = true)]
+    doffs: f64,
+    /// Disparities searched: 32, 64, 96, 128, 192 or 256.
+    #[arg(long, value_name = "PX", default_value_t = 64)]
+    max_disparity: u32,
+    /// True disparities: 16-bit PNG (px × 256) or PFM.
+    #[arg(long, value_name = "FILE")]
+    ground_truth: Option<PathBuf>,
+    /// Image of the pixels to score (bright).
+    #[arg(long, value_name = "FILE", requires = "ground_truth")]
+    mask: Option<PathBuf>,
+    /// Write PREFIX-disparity.*, PREFIX-front.*, PREFIX-back.*.
+    #[arg(long, value_name = "PREFIX")]
+    out: Option<PathBuf>,
+    /// Kind of those files.
+    #[arg(long, value_name = "KIND", default_value = "png", value_parser = ["png", "pfm"])]
+    format: String,
+    /// Write the summary to this file.
+    #[arg(long, value_name = "FILE")]
+    summary: Option<PathBuf>,
+    /// Flight file whose vehicle parameters are used, apart from the rig.
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Name of the run.
+    #[arg(long, value_name = "NAME")]
+    run: Option<String>,
+    /// Where run directories go.
+    #[arg(long, value_name = "DIR", default_value = "runs")]
+    run_dir: PathBuf,
+}
+
+fn parse_pair(text: &str) -> Result<[f64; 2], String> {
+    let values: Result<Vec<f64>, _> = text.split(',').map(|value| value.trim().parse()).collect();
+    let expected = || format!("is \"{text}\", expected two numbers x,y");
+    values.map_err(|_| expected())?.try_into().map_err(|_| expected())
+}
+
+/// What a replay found.
+#[derive(Debug, Serialize)]
+struct ReplaySummary {
+    width_px: u32,
+    height_px: u32,
+    valid_percent: f64,
+    textureless_percent: f64,
+    expanded_unknown_percent: f64,
+    /// Points of a grid before the camera.
+    occupancy_points: usize,
+    free_percent: f64,
+    occupied_percent: f64,
+    unknown_percent: f64,
+    keyframes: usize,
+    stereo_ms: f64,
+    expansion_ms: f64,
+    memory_ms: f64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    disparity_error: Option<DisparityError>,
+    pids: Vec<(String, Option<u32>)>,
+}
+
+/// What the graph made of the pair.
+#[derive(Default)]
+struct Products {
+    /// Published at, ns of flight time; disparity, planes, keyframes.
+    frame_ns: i64,
+    disparity: Option<(i64, Vec<u16>)>,
+    expanded: Option<(i64, Vec<u16>)>,
+    keyframes: Option<(i64, Vec<Keyframe>)>,
+    exposure_ns: i64,
+}
+
+/// Longest wait for the graph to digest a pair.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+pub(crate) fn replay(arguments: &ReplayArguments) -> Result<ExitCode, Box<dyn Error>> {
+    let pair = StereoPair::load(&arguments.left, &arguments.right)?;
+    let rig = arguments.rig(&pair)?;
+    let mut config = FlightConfig::load(arguments.config.as_deref(), None)?;
+    config.vehicle.rig = rig;
+    config.vehicle.stereo.max_disparity_px = arguments.max_disparity;
+    let truth = arguments.ground_truth.as_deref();
+    let truth = truth.map(|path| GroundTruth::load(path, arguments.mask.as_deref(), pair.width_px, pair.height_px));
+    let truth = truth.transpose()?;
+    config.check_vehicle()?;
+    let name = arguments.run.clone().unwrap_or_else(fresh_name);
+    let run = RunDir::named(&name)?;
+    let lock = run.take()?;
+    let files = RunFiles::create(&arguments.run_dir, &name, &config)?;
+    let (products, view, pids) = digest(arguments, &config, &run, files.folder())?;
+    drop(lock);
+    let summary = summarise(&config, &products, &view, truth.as_ref(), pids);
+    files.write_summary(&summary, arguments.summary.as_deref())?;
+    if let Some(prefix) = &arguments.out {
+        write_images(prefix, &arguments.format, &rig, &products)?;
+    }
+    print(&summary);
+    Ok(ExitCode::SUCCESS)
+}
+
+impl ReplayArguments {
+    fn rig(&self, pair: &StereoPair) -> Result<StereoRig, Box<dyn Error>> {
+        if let Some(path) = &self.calib {
+            return Ok(load_calibration(path, pair)?);
+        }
+        let (Some(focal_px), Some(baseline_m)) = (self.focal, self.baseline) else {
+            return Err("no calibration: give --calib FILE, or --focal PX and --baseline M".into());
+        };
+        let [cx_px, cy_px] = self.centre.unwrap_or([f64::from(pair.width_px) / 2.0, f64::from(pair.height_px) / 2.0]);
+        let (width_px, height_px) = (pair.width_px, pair.height_px);
+        Ok(StereoRig { width_px, height_px, focal_px, cx_px, cy_px, baseline_m, doffs_px: self.doffs })
+    }
+}
+
+/// Runs the graph until it has made everything of the pair.
+fn digest(
+    arguments: &ReplayArguments,
+    config: &FlightConfig,
+    run: &RunDir,
+    folder: &Path,
+) -> Result<(Products, View, Vec<(String, Option<u32>)>), Box<dyn Error>> {
+    let services = Services::create(run)?;
+    let mut ports = IpcPorts::open(run, ProcessId::Supervisor, 0, &config.vehicle.rig, |ports| {
+        ports.reads::<StereoFrames>();
+        ports.reads::<Disparity>();
+        ports.reads::<Expanded>();
+        ports.reads::<Keyframes>();
+        ports.reads::<HealthReports>();
+    })?;
+    let mut commands = Vec::new();
+    for process in [ProcessId::StereoIngest, ProcessId::Expansion, ProcessId::Memory, ProcessId::Recorder, ProcessId::Player] {
+        commands.push(command(config, run, folder, process)?);
+    }
+    if let Some(player) = commands.last_mut() {
+        let files = [("--left", &arguments.left), ("--right", &arguments.right)];
+        player.arguments.extend(files.iter().flat_map(|(flag, path)| [(*flag).to_owned(), path.display().to_string()]));
+    }
+    let mut supervision = Supervision::start(commands)?;
+    let (started, mut products) = (Instant::now(), Products::default());
+    while !products.complete() {
+        match supervision.attend(&services, Duration::from_millis(10)) {
+            Happening::Signal(_) => return Err("interrupted".into()),
+            Happening::RunEnded(process, how) => return Err(format!("{process} {how}").into()),
+            Happening::Died(process, how) => eprintln!("sparrowhawk: {process} {how}: restarting it"),
+            Happening::Nothing => {}
+        }
+        products.gather(&mut ports);
+        while let Some(health) = ports.receive::<HealthReports>() {
+            supervision.heard(health.header());
+        }
+        if started.elapsed() > PATIENCE {
+            return Err(format!("the graph did not digest the pair within {} s", PATIENCE.as_secs()).into());
+        }
+    }
+    // The images lie in the run's shared memory, which goes when the graph stops: ask before.
+    let view = products.view(config, &mut ports);
+    let pids = supervision.stop().iter().map(|child| (child.process.name().to_owned(), child.pid)).collect();
+    Ok((products, view, pids))
+}
+
+impl Products {
+    fn complete(&self) -> bool {
+        self.disparity.is_some() && self.expanded.is_some() && self.keyframes.is_some()
+    }
+
+    /// Takes what belongs to one exposure; a newer one starts over.
+    fn gather(&mut self, ports: &mut IpcPorts) {
+        if let Some(frame) = ports.latest::<StereoFrames>() {
+            let stamp = *frame.header().stamp();
+            *self = Self { frame_ns: stamp.published_ns, exposure_ns: stamp.valid_ns, ..Self::default() };
+        }
+        let exposure_ns = self.exposure_ns;
+        fn of<T: Topic>(ports: &mut IpcPorts, exposure_ns: i64) -> Option<(i64, Vec<T::Element>)> {
+            let message = ports.latest::<T>()?;
+            let stamp = message.header().stamp();
+            (stamp.valid_ns == exposure_ns).then(|| (stamp.published_ns, message.elements().to_vec()))
+        }
+        self.disparity = of::<Disparity>(ports, exposure_ns).or(self.disparity.take());
+        self.expanded = of::<Expanded>(ports, exposure_ns).or(self.expanded.take());
+        self.keyframes = of::<Keyframes>(ports, exposure_ns).or(self.keyframes.take());
+    }
+
+    /// The map as a planner would see it.
+    fn view(&self, config: &FlightConfig, ports: &mut IpcPorts) -> View {
+        let vehicle = &config.vehicle;
+        let nowhere = FreeSpace::new(vehicle.memory.free_space, Point::new(0.0, 0.0, -1e6));
+        let mut view = View::new(vehicle.rig, vehicle.noise, nowhere);
+        for keyframe in self.keyframes.iter().flat_map(|(_, keyframes)| keyframes) {
+            if let (Some(pose), Some(image)) = (keyframe.world_from_camera(), ports.images().get(keyframe.image_id)) {
+                view.push(pose, image);
+            }
+        }
+        view
+    }
+}
+
+/// Points before the camera, a quarter of a metre apart: free, occupied, unknown.
+fn occupancy_grid(config: &FlightConfig, view: &View) -> [usize; 3] {
+    let camera: Pose<ipc_types::Body, Camera> = config.vehicle.mount.body_from_camera();
+    let origin = Point::<World>::ZERO + Vector::from_array(camera.translation.to_array());
+    let mut counts = [0; 3];
+    for ahead in 2..=48 {
+        for left in -16..=16 {
+            for up in -8..=8 {
+                let offset = Vector::new(f64::from(ahead), f64::from(left), f64::from(up)) * 0.25;
+                let answer = view.occupancy(origin + offset, config.vehicle.planner.gamma_low);
+                counts[match answer {
+                    Occupancy::Free => 0,
+                    Occupancy::Occupied => 1,
+                    Occupancy::Unknown(_) => 2,
+                }] += 1;
+            }
+        }
+    }
+    counts
+}
+
+fn summarise(
+    config: &FlightConfig,
+    products: &Products,
+    view: &View,
+    truth: Option<&GroundTruth>,
+    pids: Vec<(String, Option<u32>)>,
+) -> ReplaySummary {
+    let rig = config.vehicle.rig;
+    let empty = (0, Vec::new());
+    let (disparity_ns, disparity) = products.disparity.as_ref().unwrap_or(&empty);
+    let (expanded_ns, planes) = products.expanded.as_ref().unwrap_or(&empty);
+    let (keyframes_ns, keyframes) = products.keyframes.as_ref().map_or((0, 0), |(ns, list)| (*ns, list.len()));
+    let percent = |part: usize, whole: usize| 100.0 * part as f64 / whole.max(1) as f64;
+    let count = |code: fn(&u16) -> bool| disparity.iter().filter(|pixel| code(pixel)).count();
+    let unknown = ExpandedPlanes::split(planes, rig.pixels())
+        .map_or(0, |planes| planes.front.iter().filter(|&&front| front == UNKNOWN_FRONT).count());
+    let counts = occupancy_grid(config, view);
+    let points = counts.iter().sum();
+    let ms = |from: i64, to: i64| (to - from) as f64 * 1e-6;
+    ReplaySummary {
+        width_px: rig.width_px,
+        height_px: rig.height_px,
+        valid_percent: percent(count(|&pixel| is_valid(pixel)), rig.pixels()),
+        textureless_percent: percent(count(|&pixel| pixel == ipc_types::disparity::TEXTURELESS), rig.pixels()),
+        expanded_unknown_percent: percent(unknown, rig.pixels()),
+        occupancy_points: points,
+        free_percent: percent(counts[0], points),
+        occupied_percent: percent(counts[1], points),
+        unknown_percent: percent(counts[2], points),
+        keyframes,
+        stereo_ms: ms(products.frame_ns, *disparity_ns),
+        expansion_ms: ms(*disparity_ns, *expanded_ns),
+        memory_ms: ms(*expanded_ns, keyframes_ns),
+        disparity_error: truth.map(|truth| truth.score(disparity)),
+        pids,
+    }
+}
+
+fn write_images(prefix: &Path, kind: &str, rig: &StereoRig, products: &Products) -> Result<(), Box<dyn Error>> {
+    let file = |name: &str| PathBuf::from(format!("{}-{name}.{kind}", prefix.display()));
+    if let Some((_, disparity)) = &products.disparity {
+        save_disparity(&file("disparity"), rig.width_px, rig.height_px, disparity)?;
+    }
+    if let Some((_, elements)) = &products.expanded
+        && let Some(planes) = ExpandedPlanes::split(elements, rig.pixels())
+    {
+        // Unknown pixels hold the largest value, which in a file would read as nearest.
+        let known = |plane: &[u16]| -> Vec<u16> {
+            plane.iter().map(|&value| if value == UNKNOWN_FRONT { 0 } else { value }).collect()
+        };
+        save_disparity(&file("front"), rig.width_px, rig.height_px, &known(planes.front))?;
+        save_disparity(&file("back"), rig.width_px, rig.height_px, &known(planes.back))?;
+    }
+    Ok(())
+}
+
+fn print(summary: &ReplaySummary) {
+    println!("image                  {} x {} px", summary.width_px, summary.height_px);
+    println!("disparity              {:.1} % matched, {:.1} % textureless, {:.1} ms", summary.valid_percent, summary.textureless_percent, summary.stereo_ms);
+    println!("expanded               {:.1} % unknown, {:.1} ms", summary.expanded_unknown_percent, summary.expansion_ms);
+    println!(
+        "occupancy              {:.1} % free, {:.1} % occupied, {:.1} % unknown of {} points up to 12 m ahead; {} keyframe(s), {:.1} ms",
+        summary.free_percent, summary.occupied_percent, summary.unknown_percent, summary.occupancy_points, summary.keyframes, summary.memory_ms
+    );
+    if let Some(error) = &summary.disparity_error {
+        println!(
+            "against ground truth   density {:.1} %, off by more than 1/2/3 px {:.2}/{:.2}/{:.2} %, mean error {:.2} px over {} px",
+            error.density_percent, error.bad_percent[0], error.bad_percent[1], error.bad_percent[2], error.mean_error_px, error.scored
+        );
+        let [one, two, three] = error.bad_or_unmatched_percent;
+        println!("unmatched as bad       {one:.2}/{two:.2}/{three:.2} %");
+    }
+}

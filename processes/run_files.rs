@@ -1,0 +1,75 @@
+//! The run directory: configuration, log and summary of one run.
+
+use crate::config::FlightConfig;
+use serde::Serialize;
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+use std::time::{SystemTime, UNIX_EPOCH};
+
+/// The configuration's snapshot.
+pub(crate) const CONFIG: &str = "config.ron";
+/// The MCAP log.
+pub(crate) const LOG: &str = "log.mcap";
+/// The summary.
+const SUMMARY: &str = "summary.json";
+/// Version and commit.
+pub(crate) const VERSION: &str = concat!(env!("CARGO_PKG_VERSION"), " (", env!("SPARROWHAWK_COMMIT"), ")");
+
+/// A run's files cannot be written.
+#[derive(Debug, thiserror::Error)]
+#[error("{path}: {source}")]
+pub(crate) struct FileError {
+    path: String,
+    source: io::Error,
+}
+
+fn at(path: &Path) -> impl FnOnce(io::Error) -> FileError {
+    let path = path.display().to_string();
+    move |source| FileError { path, source }
+}
+
+/// A run's folder.
+#[derive(Debug)]
+pub(crate) struct RunFiles {
+    folder: PathBuf,
+}
+
+/// A name for a run that was not given one: unlike any other on this machine.
+pub(crate) fn fresh_name() -> String {
+    let since_epoch = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    format!("r{}-{}", since_epoch.as_secs(), std::process::id())
+}
+
+impl RunFiles {
+    /// Makes `parent/name` and puts the configuration there.
+    pub(crate) fn create(parent: &Path, name: &str, config: &FlightConfig) -> Result<Self, FileError> {
+        let folder = parent.join(name);
+        fs::create_dir_all(&folder).map_err(at(&folder))?;
+        // Children run elsewhere; a relative path would mean another place to them.
+        let folder = folder.canonicalize().map_err(at(&folder))?;
+        let path = folder.join(CONFIG);
+        fs::write(&path, config.snapshot()).map_err(at(&path))?;
+        Ok(Self { folder })
+    }
+
+    pub(crate) fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    pub(crate) fn log(&self) -> PathBuf {
+        self.folder.join(LOG)
+    }
+
+    /// Writes the summary here, and to another file if asked.
+    pub(crate) fn write_summary(&self, summary: &impl Serialize, copy: Option<&Path>) -> Result<(), FileError> {
+        let own = self.folder.join(SUMMARY);
+        write_json(&own, summary)?;
+        copy.map_or(Ok(()), |copy| write_json(copy, summary))
+    }
+}
+
+fn write_json(path: &Path, value: &impl Serialize) -> Result<(), FileError> {
+    let text = serde_json::to_string_pretty(value).map_err(io::Error::from).map_err(at(path))?;
+    fs::write(path, text + "\n").map_err(at(path))
+}

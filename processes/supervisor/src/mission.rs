@@ -1,0 +1,259 @@
+//! The mission: publishes the goal, watches how the flight goes.
+
+use crate::summary::{Recorder, Summary};
+use ipc_types::bounds::Bounds;
+use ipc_types::limits::Fence;
+use ipc_types::messages::{Health, PlanMode, Trajectory, VehicleState, WorldTruth};
+use ipc_types::topics::{
+    Disparity, Expanded, Goals, HealthReports, Keyframes, Plan, Setpoints, State, StereoFrames, Truth,
+};
+use ipc_types::wire::Header;
+use ipc_types::{FlightTime, Point, ProcessId, Vector, World};
+use runtime::{Connect, Message, Ports, Process, Report};
+use serde::{Deserialize, Serialize};
+use std::time::Duration;
+
+/// Where to fly.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MissionConfig {
+    /// Take-off place (x, y), m.
+    pub start_m: [f64; 2],
+    /// Heading at take-off, degrees from east.
+    pub start_heading_deg: f64,
+    /// Where to hover at last (x, y, z), m.
+    pub goal_m: [f64; 3],
+    /// Highest speed on the way, m/s.
+    pub cruise_speed_mps: f64,
+    /// Geofence and altitude limits.
+    pub fence: Fence,
+    /// The flight has failed when it takes longer, s.
+    pub time_limit_s: f64,
+}
+
+impl MissionConfig {
+    /// Reports values out of range.
+    pub fn check(&self, bounds: &mut Bounds) {
+        self.start_m.iter().for_each(|&value| bounds.range("start_m", value, -1e5..=1e5));
+        self.goal_m.iter().for_each(|&value| bounds.range("goal_m", value, -1e5..=1e5));
+        bounds.range("start_heading_deg", self.start_heading_deg, -360.0..=360.0);
+        bounds.range("cruise_speed_mps", self.cruise_speed_mps, 0.2..=20.0);
+        bounds.range("time_limit_s", self.time_limit_s, 1.0..=36_000.0);
+        bounds.section("fence", |bounds| self.fence.check(bounds));
+        let inside = self.fence.contains(Point::from_array(self.goal_m));
+        bounds.require(inside, "goal_m", format_args!("is {:?}, must lie inside the fence {:?}", self.goal_m, self.fence));
+    }
+
+    /// Take-off place, at ground level zero.
+    pub fn start(&self) -> Point<World> {
+        Point::new(self.start_m[0], self.start_m[1], 0.0)
+    }
+
+    /// The goal.
+    pub fn goal(&self) -> Point<World> {
+        Point::from_array(self.goal_m)
+    }
+}
+
+/// How a flight ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Outcome {
+    /// Hovers within a metre of the goal.
+    Arrived,
+    /// Touched something.
+    Collided,
+    /// The planner found no way and hovers.
+    GaveUp,
+    /// The time limit passed.
+    TimedOut,
+    /// A signal ended it.
+    Interrupted,
+    /// A process that cannot be spared died.
+    ProcessLost,
+}
+
+/// Arrived means this close, m.
+const ARRIVED_M: f64 = 1.0;
+/// Hovering means slower than this, m/s.
+const HOVERING_MPS: f64 = 0.3;
+/// For this long.
+const HOVERING_FOR: Duration = Duration::from_secs(1);
+/// Between goal messages.
+const GOAL_INTERVAL: Duration = Duration::from_millis(500);
+
+/// Watches a flight as one more process of the graph.
+#[derive(Debug)]
+pub struct Mission {
+    config: MissionConfig,
+    next_goal: FlightTime,
+    now: FlightTime,
+    hovering_since: Option<FlightTime>,
+    given_up_since: Option<FlightTime>,
+    outcome: Option<Outcome>,
+    truth: Option<WorldTruth>,
+    state: Option<VehicleState>,
+    plan: Option<Trajectory>,
+    heartbeats: Vec<Health>,
+    recorder: Recorder,
+    report: Report,
+}
+
+impl Mission {
+    /// A mission that has not begun.
+    pub fn new(config: MissionConfig) -> Self {
+        Self {
+            recorder: Recorder::new(),
+            config,
+            next_goal: FlightTime::ZERO,
+            now: FlightTime::ZERO,
+            hovering_since: None,
+            given_up_since: None,
+            outcome: None,
+            truth: None,
+            state: None,
+            plan: None,
+            heartbeats: Vec::new(),
+            report: Report::waiting("starting"),
+        }
+    }
+
+    /// How the flight ended, once it has.
+    pub fn outcome(&self) -> Option<Outcome> {
+        self.outcome
+    }
+
+    /// Ends the flight from outside, unless it has ended already.
+    pub fn end(&mut self, outcome: Outcome) {
+        self.outcome.get_or_insert(outcome);
+    }
+
+    /// Flight time of the last step.
+    pub fn now(&self) -> FlightTime {
+        self.now
+    }
+
+    /// The newest truth.
+    pub fn truth(&self) -> Option<&WorldTruth> {
+        self.truth.as_ref()
+    }
+
+    /// The newest state estimate.
+    pub fn state(&self) -> Option<&VehicleState> {
+        self.state.as_ref()
+    }
+
+    /// What the planner is doing.
+    pub fn plan_mode(&self) -> PlanMode {
+        self.plan.map_or(PlanMode::Waiting, |plan| PlanMode::from_wire(plan.mode))
+    }
+
+    /// Heartbeats that arrived since the last call.
+    pub fn take_heartbeats(&mut self) -> Vec<Health> {
+        std::mem::take(&mut self.heartbeats)
+    }
+
+    /// The account so far.
+    pub fn summary(&self) -> Summary {
+        let outcome = self.outcome.unwrap_or(Outcome::Interrupted);
+        self.recorder.summary(&self.config, outcome, self.now, self.truth.as_ref(), self.plan.as_ref())
+    }
+
+    /// The account, where it is kept while flying.
+    pub fn recorder(&self) -> &Recorder {
+        &self.recorder
+    }
+
+    fn watch(&mut self, truth: WorldTruth) {
+        let now = FlightTime::from_nanos(truth.stamp.valid_ns);
+        self.recorder.truth(&truth);
+        let position = Point::<World>::from_array(truth.position_m);
+        let speed = Vector::<World>::from_array(truth.velocity_mps).norm();
+        let hovers = position.distance(self.config.goal()) < ARRIVED_M && speed < HOVERING_MPS;
+        let lasting = |since: &mut Option<FlightTime>, holds: bool| {
+            *since = if holds { since.or(Some(now)) } else { None };
+            since.is_some_and(|since| now.saturating_since(since) >= HOVERING_FOR)
+        };
+        let mode = self.plan_mode();
+        let arrived = lasting(&mut self.hovering_since, hovers && mode == PlanMode::Arrived);
+        let gave_up = lasting(&mut self.given_up_since, mode == PlanMode::GivenUp && speed < HOVERING_MPS);
+        let ended = [
+            (truth.collided != 0, Outcome::Collided),
+            (arrived, Outcome::Arrived),
+            (gave_up, Outcome::GaveUp),
+            (now.as_secs_f64() > self.config.time_limit_s, Outcome::TimedOut),
+        ];
+        if let Some((_, outcome)) = ended.into_iter().find(|(holds, _)| *holds) {
+            self.end(outcome);
+        }
+        self.truth = Some(truth);
+    }
+
+    /// Follows an image through the stages by its exposure.
+    fn time_stages(&mut self, ports: &mut impl Ports) {
+        while let Some(message) = ports.receive::<StereoFrames>() {
+            self.recorder.published("camera", message.header().stamp());
+        }
+        while let Some(message) = ports.receive::<Disparity>() {
+            self.recorder.published("stereo-ingest", message.header().stamp());
+        }
+        while let Some(message) = ports.receive::<Expanded>() {
+            self.recorder.published("expansion", message.header().stamp());
+        }
+        while let Some(message) = ports.receive::<Keyframes>() {
+            self.recorder.published("memory", message.header().stamp());
+        }
+    }
+}
+
+impl Process for Mission {
+    const ID: ProcessId = ProcessId::Supervisor;
+
+    fn connect(&self, connect: &mut impl Connect) {
+        connect.writes::<Goals>();
+        connect.reads::<Truth>();
+        connect.reads::<State>();
+        connect.reads::<StereoFrames>();
+        connect.reads::<Disparity>();
+        connect.reads::<Expanded>();
+        connect.reads::<Keyframes>();
+        connect.reads::<Plan>();
+        connect.reads::<Setpoints>();
+        connect.reads::<HealthReports>();
+    }
+
+    fn step<P: Ports>(&mut self, ports: &mut P) -> Report {
+        self.now = ports.now();
+        if self.now >= self.next_goal {
+            self.next_goal = self.now + GOAL_INTERVAL;
+            let config = self.config;
+            ports.publish::<Goals>(self.now, 0, |goal, _| {
+                (goal.position_m, goal.cruise_speed_mps) = (config.goal_m, config.cruise_speed_mps);
+            });
+        }
+        self.time_stages(ports);
+        while let Some(plan) = ports.receive::<Plan>() {
+            self.recorder.plan(plan.header());
+            self.plan = Some(*plan.header());
+        }
+        while let Some(setpoint) = ports.receive::<Setpoints>() {
+            self.recorder.setpoint(setpoint.header());
+        }
+        while let Some(state) = ports.receive::<State>() {
+            self.state = Some(*state.header());
+        }
+        while let Some(health) = ports.receive::<HealthReports>() {
+            self.heartbeats.push(*health.header());
+        }
+        while let Some(truth) = ports.receive::<Truth>() {
+            if self.outcome.is_none() {
+                self.watch(*truth.header());
+            }
+        }
+        self.report.worked()
+    }
+
+    fn next_wake(&self) -> Option<FlightTime> {
+        Some(self.next_goal)
+    }
+}

@@ -1,0 +1,257 @@
+//! The account of a flight: what the report prints and the JSON summary carries.
+
+use crate::mission::{MissionConfig, Outcome};
+use crate::supervision::ChildStatus;
+use hdrhistogram::Histogram;
+use ipc_types::messages::{Setpoint, Trajectory, WorldTruth};
+use ipc_types::wire::Stamp;
+use ipc_types::{FlightTime, Point, Vector, World};
+use serde::Serialize;
+use std::collections::BTreeMap;
+
+/// Everything worth knowing about a flight, units in the names.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Summary {
+    /// How it ended.
+    pub outcome: Outcome,
+    /// Flight time from start to end, s.
+    pub flight_time_s: f64,
+    /// Length of the path flown, m.
+    pub path_length_m: f64,
+    /// Straight line from start to goal, m.
+    pub straight_line_m: f64,
+    /// Distance from the goal at the end, m.
+    pub distance_to_goal_m: f64,
+    /// Least distance from the hull to an obstacle, m; absent when it never came within 5 m.
+    pub min_clearance_m: Option<f64>,
+    /// Highest speed, m/s.
+    pub max_speed_mps: f64,
+    /// Mean speed while airborne, m/s.
+    pub mean_speed_mps: f64,
+    /// Highest mean speed over 3 s, m/s.
+    pub cruise_speed_mps: f64,
+    /// Plans chosen anew.
+    pub replans: u64,
+    /// Stereo pairs published.
+    pub frames: u64,
+    /// Stereo pairs that led to no map.
+    pub frames_without_map: u64,
+    /// Duration of each stage, from its input's publication to its output's.
+    pub stages: BTreeMap<String, LatencySummary>,
+    /// From exposure to the first setpoint that rests on the image.
+    pub exposure_to_command: LatencySummary,
+    /// Flight seconds per host second.
+    pub clock_ratio: f64,
+    /// The processes; empty in lockstep.
+    pub processes: Vec<ProcessSummary>,
+    /// Restarts of all processes.
+    pub restarts: u32,
+    /// Hash of every message, in lockstep.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub log_hash: Option<String>,
+}
+
+/// Percentiles of a latency.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct LatencySummary {
+    /// How many were measured.
+    pub count: u64,
+    /// Median, ms.
+    pub p50_ms: f64,
+    /// 99th percentile, ms.
+    pub p99_ms: f64,
+    /// Longest, ms.
+    pub max_ms: f64,
+}
+
+/// A process at the end of the flight.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ProcessSummary {
+    /// Name.
+    pub name: String,
+    /// Operating-system number of its last incarnation.
+    pub pid: Option<u32>,
+    /// Restarts.
+    pub restarts: u32,
+    /// Longest time from a death to the successor's first heartbeat, ms.
+    pub longest_recovery_ms: Option<f64>,
+    /// Messages refused.
+    pub dropped: u64,
+    /// Longest step that published, ms.
+    pub longest_step_ms: f64,
+}
+
+impl ProcessSummary {
+    /// From the supervisor's last view of a child.
+    pub fn of(status: &ChildStatus) -> Self {
+        Self {
+            name: status.process.name().to_owned(),
+            pid: status.pid,
+            restarts: status.restarts,
+            longest_recovery_ms: status.longest_recovery_s.map(|seconds| seconds * 1e3),
+            dropped: status.health.map_or(0, |health| health.dropped),
+            longest_step_ms: status.health.map_or(0.0, |health| health.longest_step_ns as f64 * 1e-6),
+        }
+    }
+}
+
+/// Latencies up to this are told apart, µs.
+const LONGEST_US: u64 = 60_000_000;
+/// Window of the cruise speed, s.
+const CRUISE_WINDOW_S: f64 = 3.0;
+/// The stages an image passes, in order.
+const STAGES: [&str; 5] = ["camera", "stereo-ingest", "expansion", "memory", "planner"];
+
+/// Gathers the account while flying.
+#[derive(Debug)]
+pub struct Recorder {
+    stages: BTreeMap<&'static str, Histogram<u64>>,
+    exposure_to_command: Histogram<u64>,
+    /// Publication by exposure, of the last few images: the previous stage's is where the next one's time begins.
+    publications: BTreeMap<i64, [Option<i64>; STAGES.len()]>,
+    commanded: i64,
+    frames: u64,
+    maps: u64,
+    path_length_m: f64,
+    last: Option<(FlightTime, Point<World>)>,
+    window: std::collections::VecDeque<(FlightTime, f64)>,
+    airborne_s: f64,
+    min_clearance_m: f64,
+    max_speed_mps: f64,
+    cruise_speed_mps: f64,
+}
+
+impl Recorder {
+    pub(crate) fn new() -> Self {
+        Self {
+            stages: STAGES.iter().map(|&stage| (stage, histogram())).collect(),
+            exposure_to_command: histogram(),
+            publications: BTreeMap::new(),
+            commanded: 0,
+            frames: 0,
+            maps: 0,
+            path_length_m: 0.0,
+            last: None,
+            window: std::collections::VecDeque::new(),
+            airborne_s: 0.0,
+            min_clearance_m: f64::INFINITY,
+            max_speed_mps: 0.0,
+            cruise_speed_mps: 0.0,
+        }
+    }
+
+    /// A stage published what it made of an image.
+    pub(crate) fn published(&mut self, stage: &'static str, stamp: &Stamp) {
+        let Some(index) = STAGES.iter().position(|&name| name == stage) else { return };
+        self.frames += u64::from(stage == "camera");
+        self.maps += u64::from(stage == "memory");
+        let entry = self.publications.entry(stamp.valid_ns).or_default();
+        entry[index] = Some(stamp.published_ns);
+        let begun = if index == 0 { Some(stamp.valid_ns) } else { entry[index - 1] };
+        if let (Some(begun), Some(histogram)) = (begun, self.stages.get_mut(stage)) {
+            record(histogram, stamp.published_ns - begun);
+        }
+        while self.publications.len() > 32 {
+            self.publications.pop_first();
+        }
+    }
+
+    pub(crate) fn plan(&mut self, plan: &Trajectory) {
+        let stamp = Stamp { valid_ns: plan.image_valid_ns, ..plan.stamp };
+        self.published("planner", &stamp);
+    }
+
+    pub(crate) fn setpoint(&mut self, setpoint: &Setpoint) {
+        if setpoint.image_valid_ns > self.commanded {
+            self.commanded = setpoint.image_valid_ns;
+            record(&mut self.exposure_to_command, setpoint.stamp.published_ns - setpoint.image_valid_ns);
+        }
+    }
+
+    pub(crate) fn truth(&mut self, truth: &WorldTruth) {
+        let (now, position) = (FlightTime::from_nanos(truth.stamp.valid_ns), Point::from_array(truth.position_m));
+        let speed = Vector::<World>::from_array(truth.velocity_mps).norm();
+        self.max_speed_mps = self.max_speed_mps.max(speed);
+        if truth.airborne != 0 {
+            if let Some((before, from)) = self.last {
+                self.path_length_m += from.distance(position);
+                self.airborne_s += now.seconds_since(before);
+            }
+            // Beyond what the simulator measures there is nothing to report.
+            if truth.obstacle_clearance_m < 5.0 {
+                self.min_clearance_m = self.min_clearance_m.min(truth.obstacle_clearance_m);
+            }
+        }
+        self.last = Some((now, position));
+        self.window.push_back((now, self.path_length_m));
+        while self.window.front().is_some_and(|(at, _)| now.seconds_since(*at) > CRUISE_WINDOW_S) {
+            self.window.pop_front();
+        }
+        if let Some((at, length)) = self.window.front() {
+            let span_s = now.seconds_since(*at);
+            if span_s > 0.9 * CRUISE_WINDOW_S {
+                self.cruise_speed_mps = self.cruise_speed_mps.max((self.path_length_m - length) / span_s);
+            }
+        }
+    }
+
+    /// Median and 99th percentile of exposure → command so far, ms.
+    pub fn exposure_to_command(&self) -> LatencySummary {
+        summarise(&self.exposure_to_command)
+    }
+
+    /// Least clearance so far, m.
+    pub fn min_clearance_m(&self) -> Option<f64> {
+        self.min_clearance_m.is_finite().then_some(self.min_clearance_m)
+    }
+
+    pub(crate) fn summary(
+        &self,
+        config: &MissionConfig,
+        outcome: Outcome,
+        now: FlightTime,
+        truth: Option<&WorldTruth>,
+        plan: Option<&Trajectory>,
+    ) -> Summary {
+        let position = self.last.map_or(config.start(), |(_, position)| position);
+        Summary {
+            outcome,
+            flight_time_s: self.last.map_or(now, |(at, _)| at).as_secs_f64(),
+            path_length_m: self.path_length_m,
+            straight_line_m: config.start().distance(config.goal()),
+            distance_to_goal_m: position.distance(config.goal()),
+            min_clearance_m: self.min_clearance_m(),
+            max_speed_mps: self.max_speed_mps,
+            mean_speed_mps: if self.airborne_s > 0.0 { self.path_length_m / self.airborne_s } else { 0.0 },
+            cruise_speed_mps: self.cruise_speed_mps,
+            replans: plan.map_or(0, |plan| plan.replans),
+            frames: self.frames,
+            frames_without_map: self.frames.saturating_sub(self.maps),
+            stages: self.stages.iter().map(|(stage, histogram)| ((*stage).to_owned(), summarise(histogram))).collect(),
+            exposure_to_command: summarise(&self.exposure_to_command),
+            clock_ratio: truth.map_or(0.0, |truth| truth.clock_ratio),
+            processes: Vec::new(),
+            restarts: 0,
+            log_hash: None,
+        }
+    }
+}
+
+fn histogram() -> Histogram<u64> {
+    // The bounds are constants that the constructor accepts.
+    Histogram::new_with_bounds(1, LONGEST_US, 3).unwrap_or_else(|_| unreachable!("valid bounds"))
+}
+
+fn record(histogram: &mut Histogram<u64>, nanos: i64) {
+    histogram.saturating_record((nanos.max(0) as u64 / 1000).min(LONGEST_US));
+}
+
+fn summarise(histogram: &Histogram<u64>) -> LatencySummary {
+    let ms = |us: u64| us as f64 * 1e-3;
+    LatencySummary {
+        count: histogram.len(),
+        p50_ms: ms(histogram.value_at_quantile(0.5)),
+        p99_ms: ms(histogram.value_at_quantile(0.99)),
+        max_ms: ms(histogram.max()),
+    }
+}
