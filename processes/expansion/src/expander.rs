@@ -8,6 +8,7 @@ use crate::window::Axis;
 use ipc_types::StereoRig;
 use ipc_types::messages::{ExpandedPlanes, UNKNOWN_FRONT};
 use ipc_types::noise::NoiseModel;
+use multiversion::multiversion;
 
 /// Why an image was refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -134,6 +135,7 @@ impl Expander {
     }
 }
 
+#[multiversion(targets("x86_64+avx2+fma", "x86_64+sse4.1", "aarch64+neon"))]
 fn inflate_lines(range_max: &mut RangeMax, axis: Axis, tables: &Tables, keys: &mut [u16]) {
     for line in keys.chunks_exact_mut(axis.length_px) {
         for (pixel, &key) in line.iter().enumerate() {

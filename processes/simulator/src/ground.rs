@@ -67,7 +67,7 @@ impl Ground {
 
     /// Ray parameter at which a ray from above meets the ground, or infinity.
     ///
-    /// Newton steps towards h(x, y) from the mean level; then marching where the ray grazes and they do not settle.
+    /// Marches between the levels that no wave exceeds, then interpolates within the step that crosses.
     #[inline(always)]
     pub(crate) fn meet(&self, origin: [f32; 3], direction: [f32; 3], farthest: f32) -> f32 {
         if direction[2] >= 0.0 {
@@ -81,8 +81,8 @@ impl Ground {
         let above = |t: f32| {
             origin[2] + t * direction[2] - self.height(origin[0] + t * direction[0], origin[1] + t * direction[1])
         };
-        // Regula falsi between two bounds that enclose the first crossing.
-        let steps = 6;
+        // Steep rays cross the ground's band within centimetres; grazing ones need the steps.
+        let steps = if leave - enter < 1.0 { 1 } else { 6 };
         let (mut low, mut gap_low) = (enter, above(enter).max(0.0));
         for step in 1..=steps {
             let high = enter + (leave - enter) * step as f32 / steps as f32;

@@ -31,11 +31,9 @@ impl Noise3 {
         let exponent = (bits >> 23) as i32 - 127;
         let blend = (bits & 0x7f_ffff) as f32 / 8_388_608.0;
         let scale = f32::from_bits(((127 - exponent) as u32) << 23);
-        let fine = self.lattice_at(p, scale);
-        let middle = self.lattice_at(p, scale * 0.5);
-        let coarse = self.lattice_at(p, scale * 0.25);
-        // The finest octave fades out as the footprint grows towards the next.
-        0.9 * (fine * (1.0 - blend) + middle * blend) + 0.7 * (middle * (1.0 - blend) + coarse * blend)
+        let (fine, coarse) = (self.lattice_at(p, scale), self.lattice_at(p, scale * 0.5));
+        // The finer octave fades out as the footprint grows towards the next.
+        fine * (1.0 - blend) + coarse * (0.5 + 0.5 * blend)
     }
 
     #[inline(always)]

@@ -2,9 +2,10 @@
 
 use crate::ground::Ground;
 use crate::noise3::Noise3;
-use crate::raster::{EyeCapsule, Pinhole, draw_capsule, draw_cuboid};
+use crate::raster::{EyeCapsule, Pinhole, draw_capsule, draw_cuboid, stride};
 use crate::world::{Obstacle, Shape, World};
 use ipc_types::{Camera, Point, Pose, World as WorldFrame};
+use multiversion::multiversion;
 use std::sync::Arc;
 
 /// Grey level of the plain sky.
@@ -48,6 +49,7 @@ impl Eye {
     }
 
     /// World direction of the ray through slopes x, y.
+    #[inline(always)]
     fn ray(&self, x: f32, y: f32) -> [f32; 3] {
         let [right, down, forward] = self.axes;
         [0, 1, 2].map(|i| right[i] * x + down[i] * y + forward[i])
@@ -61,8 +63,8 @@ impl Renderer {
             world,
             texture: Noise3::new(0x7e47),
             pinhole: Pinhole { width, height, focal: focal_px, centre: centre_px },
-            depths: vec![0.0; width * height],
-            identities: vec![0; width * height],
+            depths: vec![0.0; stride(width) * height],
+            identities: vec![0; stride(width) * height],
         }
     }
 
@@ -75,13 +77,19 @@ impl Renderer {
         for (index, obstacle) in world.obstacles().iter().enumerate() {
             self.draw(&eye, obstacle, index as u32);
         }
-        self.draw_ground(&eye, &world.ground);
-        self.shade(&eye, world.obstacles(), grey);
+        let width = self.pinhole.width;
+        let lines = self.depths.chunks_exact_mut(stride(width)).zip(self.identities.chunks_exact_mut(stride(width)));
+        for (row, ((depths, identities), grey)) in lines.zip(grey.chunks_exact_mut(width)).enumerate() {
+            draw_ground(self.pinhole, &eye, row, &world.ground, &mut depths[..width], &mut identities[..width]);
+            shade(self.pinhole, &eye, row, &self.texture, world.obstacles(), &depths[..width], &identities[..width], grey);
+        }
     }
 
     /// Depth along the optical axis of every pixel of the last image, m; infinite where there is sky.
     pub fn depths(&self) -> impl Iterator<Item = f32> {
-        let seen = self.depths.iter().zip(&self.identities);
+        let width = self.pinhole.width;
+        let lines = self.depths.chunks_exact(stride(width)).zip(self.identities.chunks_exact(stride(width)));
+        let seen = lines.flat_map(move |(depths, identities)| depths[..width].iter().zip(&identities[..width]));
         seen.map(|(&depth, &identity)| if identity == NOTHING { f32::INFINITY } else { depth })
     }
 
@@ -113,41 +121,47 @@ impl Renderer {
             }
         }
     }
+}
 
-    fn draw_ground(&mut self, eye: &Eye, ground: &Ground) {
-        let Pinhole { width, focal, centre, .. } = self.pinhole;
-        let lines = self.depths.chunks_exact_mut(width).zip(self.identities.chunks_exact_mut(width));
-        for (row, (depths, identities)) in lines.enumerate() {
-            let y = (row as f32 - centre.1) / focal;
-            for (column, (depth, identity)) in depths.iter_mut().zip(identities).enumerate() {
-                let x = (column as f32 - centre.0) / focal;
-                let t = ground.meet(eye.origin, eye.ray(x, y), *depth);
-                if t < *depth {
-                    (*depth, *identity) = (t, GROUND);
-                }
-            }
+/// Draws one row of the ground.
+#[multiversion(targets("x86_64+avx512f+avx512bw", "x86_64+avx2+fma", "aarch64+neon"))]
+fn draw_ground(pinhole: Pinhole, eye: &Eye, row: usize, ground: &Ground, depths: &mut [f32], identities: &mut [u32]) {
+    let y = (row as f32 - pinhole.centre.1) / pinhole.focal;
+    for (column, (depth, identity)) in depths.iter_mut().zip(identities).enumerate() {
+        let x = (column as f32 - pinhole.centre.0) / pinhole.focal;
+        let t = ground.meet(eye.origin, eye.ray(x, y), *depth);
+        if t < *depth {
+            (*depth, *identity) = (t, GROUND);
         }
     }
+}
 
-    fn shade(&self, eye: &Eye, obstacles: &[Obstacle], grey: &mut [f32]) {
-        let Pinhole { width, focal, centre, .. } = self.pinhole;
-        for (index, grey) in grey.iter_mut().enumerate() {
-            let identity = self.identities[index];
-            if identity == NOTHING {
-                *grey = SKY;
-                continue;
-            }
-            let x = ((index % width) as f32 - centre.0) / focal;
-            let y = ((index / width) as f32 - centre.1) / focal;
-            let (depth, ray) = (self.depths[index], eye.ray(x, y));
-            let point = [0, 1, 2].map(|axis| eye.origin[axis] + depth * ray[axis]);
-            let (brightness, contrast) = match obstacles.get(identity as usize) {
-                Some(obstacle) => (obstacle.brightness, obstacle.contrast),
-                None => (105.0, 90.0),
-            };
-            // Blank surfaces are lit evenly; textured ones show their texture at the scale of the pixel.
-            let texture = if contrast > 0.0 { self.texture.texture(point, depth / focal) } else { 0.0 };
-            *grey = brightness + contrast * texture;
+/// Grey levels of one row: brightness and texture of what each pixel sees.
+#[multiversion(targets("x86_64+avx512f+avx512bw", "x86_64+avx2+fma", "aarch64+neon"))]
+fn shade(
+    pinhole: Pinhole,
+    eye: &Eye,
+    row: usize,
+    texture: &Noise3,
+    obstacles: &[Obstacle],
+    depths: &[f32],
+    identities: &[u32],
+    grey: &mut [f32],
+) {
+    let y = (row as f32 - pinhole.centre.1) / pinhole.focal;
+    for (column, ((grey, &depth), &identity)) in grey.iter_mut().zip(depths).zip(identities).enumerate() {
+        if identity == NOTHING {
+            *grey = SKY;
+            continue;
         }
+        let ray = eye.ray((column as f32 - pinhole.centre.0) / pinhole.focal, y);
+        let point = [0, 1, 2].map(|axis| eye.origin[axis] + depth * ray[axis]);
+        let (brightness, contrast) = match obstacles.get(identity as usize) {
+            Some(obstacle) => (obstacle.brightness, obstacle.contrast),
+            None => (105.0, 90.0),
+        };
+        // Blank surfaces are lit evenly; textured ones show their texture at the scale of the pixel.
+        let detail = if contrast > 0.0 { texture.texture(point, depth / pinhole.focal) } else { 0.0 };
+        *grey = brightness + contrast * detail;
     }
 }
