@@ -267,6 +267,13 @@ impl FlightConfig {
             "mission.cruise_speed_mps",
             format_args!("is {speed_mps} m/s: stopping takes {stopping_m:.1} m, but stereo is good for {range_m:.1} m"),
         );
+        let (swept_m, least_m) =
+            (vehicle.memory.free_space.swept_radius_m, vehicle.planner.least_commitment_m(speed_mps));
+        bounds.require(
+            swept_m < least_m,
+            "vehicle.memory.free_space.swept_radius_m",
+            format_args!("is {swept_m}, must be below the {least_m:.2} m that the slowest plan commits to, or the vehicle creeps into the unseen"),
+        );
         // Level acceleration at the candidates' limit against drag at cruise speed.
         let pull_mps2 = vehicle.planner.acceleration_mps2 + vehicle.simulator.vehicle.drag_hz * speed_mps;
         let tilt_deg = (pull_mps2 / 9.806_65).atan().to_degrees();
@@ -306,7 +313,11 @@ impl VehicleConfig {
             "expansion.radius_m",
             format_args!("is {radius_m}, must be at least the hull's {hull_m} m plus {TRACKING_MARGIN_M} m of tracking error"),
         );
-        bounds.require(body_m >= hull_m, "expansion.body_radius_m", format_args!("is {body_m}, must be at least the hull's {hull_m} m"));
+        bounds.require(
+            body_m >= hull_m,
+            "expansion.body_radius_m",
+            format_args!("is {body_m}, must be at least the hull's {hull_m} m"),
+        );
         let deadline_s = self.controller.trajectory_deadline_s + self.planner.lead_s;
         bounds.require(
             self.planner.commit_s >= deadline_s,

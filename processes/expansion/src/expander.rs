@@ -44,6 +44,8 @@ pub struct Expander {
     transposed: Vec<u16>,
     keys: Vec<u16>,
     distance: Vec<u16>,
+    /// Near limits of an image without holes: what its border allows.
+    border_limits: Vec<u16>,
 }
 
 impl Expander {
@@ -52,12 +54,20 @@ impl Expander {
         let (width, height) = (rig.width_px as usize, rig.height_px as usize);
         let focal_px = rig.focal_px as f32;
         let scratch = || vec![0; width * height];
+        let row_axis = Axis { focal_px, centre_px: rig.cx_px as f32, length_px: width };
+        let column_axis = Axis { focal_px, centre_px: rig.cy_px as f32, length_px: height };
+        let border_limit = |index: usize| {
+            let (row, column) = (index / width, index % width);
+            let limit = |axis: Axis, pixel, extent_m| near_limit(&rig, extent_m, axis.to_border(pixel), axis.slope(pixel));
+            limit(row_axis, column, config.body_radius_m).min(limit(column_axis, row, config.body_half_height_m))
+        };
         Self {
+            border_limits: (0..width * height).map(border_limit).collect(),
             tables: Tables::new(&rig, noise, &config),
             rows: RangeMax::new(width),
             columns: RangeMax::new(height),
-            row_axis: Axis { focal_px, centre_px: rig.cx_px as f32, length_px: width },
-            column_axis: Axis { focal_px, centre_px: rig.cy_px as f32, length_px: height },
+            row_axis,
+            column_axis,
             filled: scratch(),
             transposed: scratch(),
             keys: scratch(),
@@ -110,15 +120,16 @@ impl Expander {
         transpose(&self.filled, height, &mut self.keys);
     }
 
+    /// The image vouches no nearer than its border and its unmeasured pixels let the body be seen whole.
     fn write_near_limits(&mut self, near: &mut [u16]) {
         let width = self.rig.width_px as usize;
         distance_to_unmeasured(&self.keys, width, &mut self.distance);
-        let slope = |pixel: usize, axis: &Axis| ((pixel as f32 - axis.centre_px) / axis.focal_px).abs();
-        for (row, (near, distance)) in near.chunks_exact_mut(width).zip(self.distance.chunks_exact(width)).enumerate() {
-            let y = slope(row, &self.column_axis);
-            for (column, (near, &clear_px)) in near.iter_mut().zip(distance).enumerate() {
-                let x = slope(column, &self.row_axis).max(y);
-                *near = near_limit(&self.rig, self.config.body_radius_m, clear_px, x);
+        let lines = near.chunks_exact_mut(width).zip(self.distance.chunks_exact(width));
+        for (row, ((near, distance), border)) in lines.zip(self.border_limits.chunks_exact(width)).enumerate() {
+            let y = self.column_axis.slope(row);
+            for (column, ((near, &clear_px), &border)) in near.iter_mut().zip(distance).zip(border).enumerate() {
+                let x = self.row_axis.slope(column).max(y);
+                *near = near_limit(&self.rig, self.config.body_radius_m, clear_px, x).min(border);
             }
         }
     }

@@ -38,6 +38,8 @@ pub struct Config {
     pub radius_m: f32,
     /// Radius of the vehicle's body, for which the ball around a free point must have been measured, m.
     pub body_radius_m: f32,
+    /// Half of the body's height, tilt included, m: what must lie between a free point and the image's top and bottom.
+    pub body_half_height_m: f32,
     /// Longest run of unmatched pixels, along a row or a column, that takes the nearer of its two ends, px.
     pub hole_px: u32,
     /// What clear sky is worth.
@@ -54,6 +56,7 @@ impl Config {
             "body_radius_m",
             format_args!("is {} m, must not exceed radius_m = {} m", self.body_radius_m, self.radius_m),
         );
+        bounds.range("body_half_height_m", self.body_half_height_m, 0.02..=5.0);
         bounds.range("hole_px", self.hole_px, 0..=128);
         bounds.section("background", |bounds| self.background.check(bounds));
     }

@@ -69,45 +69,40 @@ pub(crate) fn column_keys(column: &[u16], tables: &Tables, rig: &StereoRig, rule
     }
 }
 
-/// Chebyshev distance in pixels to the nearest pixel without a key, or to outside the image (at most 65535).
+/// Chebyshev distance in pixels to the nearest pixel without a key (`u16::MAX` where there is none).
 pub(crate) fn distance_to_unmeasured(keys: &[u16], width: usize, distance: &mut [u16]) {
     let height = keys.len() / width;
-    let at = |distance: &[u16], row: usize, column: usize| distance[row * width + column];
     for row in 0..height {
         for column in 0..width {
             let index = row * width + column;
-            let inner = row > 0 && column > 0 && column + 1 < width;
-            distance[index] = match (keys[index], inner) {
-                (0, _) => 0,
-                (_, false) => 1,
-                (_, true) => {
-                    let above = at(distance, row - 1, column - 1)
-                        .min(at(distance, row - 1, column))
-                        .min(at(distance, row - 1, column + 1));
-                    above.min(distance[index - 1]).saturating_add(1)
-                }
-            };
+            let left = if column > 0 { distance[index - 1] } else { u16::MAX };
+            let above = if row > 0 { least_of_three(distance, width, row - 1, column) } else { u16::MAX };
+            distance[index] = if keys[index] == 0 { 0 } else { left.min(above).saturating_add(1) };
         }
     }
     for row in (0..height).rev() {
         for column in (0..width).rev() {
             let index = row * width + column;
-            if row + 1 == height || column == 0 || column + 1 == width {
-                distance[index] = distance[index].min(1);
-                continue;
-            }
-            let below = at(distance, row + 1, column - 1)
-                .min(at(distance, row + 1, column))
-                .min(at(distance, row + 1, column + 1));
-            distance[index] = distance[index].min(below.min(distance[index + 1]).saturating_add(1));
+            let right = if column + 1 < width { distance[index + 1] } else { u16::MAX };
+            let below = if row + 1 < height { least_of_three(distance, width, row + 1, column) } else { u16::MAX };
+            distance[index] = distance[index].min(right.min(below).saturating_add(1));
         }
     }
 }
 
-/// Near limit: the disparity up to which a ball of `body_radius_m` on the ray with slope `x` (the larger of the two
+/// Least of a pixel and its two neighbours in its row.
+#[inline(always)]
+fn least_of_three(distance: &[u16], width: usize, row: usize, column: usize) -> u16 {
+    let line = &distance[row * width..(row + 1) * width];
+    let (from, to) = (column.saturating_sub(1), (column + 2).min(width));
+    line[from..to].iter().copied().fold(u16::MAX, u16::min)
+}
+
+/// Near limit: the disparity up to which a ball of `radius_m` on the ray with slope `x` (the larger of the two
 /// axes) stays within `clear_px` pixels of it. Solves (q·c + q²·|x|)/(1 − q²) = m for q = radius/depth, where
 /// c = √(1 + x²) and m the slope of `clear_px`; the left side bounds both tangents of [`crate::window`].
-pub(crate) fn near_limit(rig: &StereoRig, body_radius_m: f32, clear_px: u16, x: f32) -> u16 {
+#[inline(always)]
+pub(crate) fn near_limit(rig: &StereoRig, radius_m: f32, clear_px: u16, x: f32) -> u16 {
     if clear_px == 0 {
         return 0;
     }
@@ -115,7 +110,7 @@ pub(crate) fn near_limit(rig: &StereoRig, body_radius_m: f32, clear_px: u16, x: 
     let a = x.abs() + m;
     let c = (1.0 + x * x).sqrt();
     let q = ((c * c + 4.0 * a * m).sqrt() - c) / (2.0 * a);
-    let limit_px = q * rig.focal_baseline_px_m() as f32 / body_radius_m - rig.doffs_px as f32;
+    let limit_px = q * rig.focal_baseline_px_m() as f32 / radius_m - rig.doffs_px as f32;
     (limit_px * SCALE).floor() as u16
 }
 
@@ -131,7 +126,7 @@ mod tests {
     }
 
     #[test]
-    fn distance_is_chebyshev_and_knows_the_border() {
+    fn distance_is_chebyshev() {
         let (width, height) = (9, 7);
         let mut keys = vec![50; width * height];
         keys[3 * width + 4] = 0;
@@ -140,8 +135,7 @@ mod tests {
         for row in 0..height {
             for column in 0..width {
                 let hole = row.abs_diff(3).max(column.abs_diff(4));
-                let border = (row + 1).min(column + 1).min(height - row).min(width - column);
-                assert_eq!(usize::from(distance[row * width + column]), hole.min(border), "{row} {column}");
+                assert_eq!(usize::from(distance[row * width + column]), hole, "{row} {column}");
             }
         }
     }

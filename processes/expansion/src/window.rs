@@ -13,6 +13,17 @@ pub(crate) struct Axis {
 }
 
 impl Axis {
+    /// Slope of a pixel's ray against the optical axis, without sign.
+    #[inline(always)]
+    pub(crate) fn slope(&self, pixel: usize) -> f32 {
+        ((pixel as f32 - self.centre_px) / self.focal_px).abs()
+    }
+
+    /// Pixels from this one to the nearer border, itself included.
+    pub(crate) fn to_border(self, pixel: usize) -> u16 {
+        (pixel + 1).min(self.length_px - pixel) as u16
+    }
+
     /// First and last pixel whose rays may touch a sphere of `q` = radius / depth centred anywhere in `pixel`.
     ///
     /// Half a pixel is added on both sides for where in the pixel the surface is. At q ≥ 1 the camera is inside

@@ -21,7 +21,7 @@ const NOISE: NoiseModel =
 const BACKGROUND: BackgroundRule = BackgroundRule { limit_m: 12.0, share: 0.7, textureless_share: 0.8 };
 
 fn config(radius_m: f32, hole_px: u32) -> Config {
-    Config { radius_m, body_radius_m: 0.3_f32.min(radius_m), hole_px, background: BACKGROUND }
+    Config { radius_m, body_radius_m: 0.3_f32.min(radius_m), body_half_height_m: 0.15, hole_px, background: BACKGROUND }
 }
 
 #[derive(Debug, PartialEq)]

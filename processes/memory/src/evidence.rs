@@ -12,10 +12,9 @@ pub struct FreeSpaceRule {
     pub home_radius_m: f64,
     /// Its height above the take-off place, m.
     pub home_height_m: f64,
-    /// Around where the vehicle's centre has been, free unless an image says otherwise, m.
+    /// Around where the vehicle's centre has been, free unless an image says otherwise, m. Must be less than the
+    /// slowest plan commits to, or the vehicle could creep into what it has not seen.
     pub swept_radius_m: f64,
-    /// Around where the vehicle's centre has been, free whatever the images say, m: the body was there.
-    pub body_radius_m: f64,
     /// Distance between two views that both see far background before it counts as free, m.
     pub background_parallax_m: f64,
 }
@@ -25,7 +24,6 @@ impl FreeSpaceRule {
         bounds.range("home_radius_m", self.home_radius_m, 0.0..=20.0);
         bounds.range("home_height_m", self.home_height_m, 0.0..=50.0);
         bounds.range("swept_radius_m", self.swept_radius_m, 0.0..=3.0);
-        bounds.range("body_radius_m", self.body_radius_m, 0.0..=3.0);
         bounds.range("background_parallax_m", self.background_parallax_m, 0.0..=5.0);
     }
 }
@@ -65,11 +63,9 @@ impl FreeSpace {
         &self.path
     }
 
-    /// Distance to the nearest place where the vehicle has been, m; infinite before the first.
-    pub(crate) fn distance_to_path(&self, point: Point<World>) -> f64 {
-        // Squares first: one root instead of hundreds.
-        let squared = self.path.iter().map(|&place| (place - point).dot(place - point)).fold(f64::INFINITY, f64::min);
-        squared.sqrt()
+    /// Whether the vehicle's centre has been near this point.
+    pub(crate) fn is_swept(&self, point: Point<World>) -> bool {
+        self.path.iter().any(|&place| place.distance(point) <= self.rule.swept_radius_m)
     }
 
     /// Whether the operator declared this point free.

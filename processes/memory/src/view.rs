@@ -120,15 +120,10 @@ impl View {
 
     /// What is known about a point: occupied from a score of `threshold` (γ) on.
     pub fn occupancy(&self, point: Point<World>, threshold: f32) -> Occupancy {
-        let rule = self.free_space.rule();
-        let from_path_m = self.free_space.distance_to_path(point);
-        if from_path_m <= rule.body_radius_m {
-            return Occupancy::Free;
-        }
         let score = self.score(point);
         if score.sum >= threshold {
             Occupancy::Occupied
-        } else if score.vouched || from_path_m <= rule.swept_radius_m || self.free_space.is_home(point) {
+        } else if score.vouched || self.free_space.is_swept(point) || self.free_space.is_home(point) {
             Occupancy::Free
         } else {
             Occupancy::Unknown(score.unknown)
@@ -224,7 +219,6 @@ mod tests {
         home_radius_m: 1.0,
         home_height_m: 2.0,
         swept_radius_m: 0.5,
-        body_radius_m: 0.2,
         background_parallax_m: 0.5,
     };
     const GAMMA: f32 = 0.9;
@@ -315,7 +309,6 @@ mod tests {
         assert_eq!(at(&view, -50.5), Occupancy::Free, "home");
         wall(&mut view, 0.0, 2.0, 6.0);
         assert_eq!(at(&view, 3.4), Occupancy::Occupied, "an image says otherwise");
-        assert_eq!(at(&view, 3.1), Occupancy::Free, "the body was there");
     }
 
     #[test]

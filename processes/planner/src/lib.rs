@@ -118,6 +118,15 @@ impl Config {
         bounds.range("attempts", self.attempts, 0..=100);
     }
 
+    /// Distance that the slowest candidate commits to from rest, braking included, m.
+    pub fn least_commitment_m(&self, cruise_mps: f64) -> f64 {
+        let slowest = self.speed_shares.iter().copied().fold(1.0, f64::min) * cruise_mps;
+        let accelerating_s = (slowest / self.acceleration_mps2).min(self.commit_s);
+        let speed = accelerating_s * self.acceleration_mps2;
+        let going_m = speed * (self.commit_s - accelerating_s / 2.0);
+        going_m + speed * speed / (2.0 * self.braking_mps2)
+    }
+
     /// Distance covered from `speed_mps` until at rest, latency included, m.
     pub fn stopping_distance_m(&self, speed_mps: f64) -> f64 {
         speed_mps * (self.commit_s + self.lead_s) + speed_mps * speed_mps / (2.0 * self.braking_mps2)

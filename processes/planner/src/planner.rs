@@ -316,7 +316,6 @@ pub(crate) mod tests {
             home_radius_m: radius_m,
             home_height_m: 10.0,
             swept_radius_m: 0.5,
-            body_radius_m: 0.3,
             background_parallax_m: 0.5,
         };
         let rig = StereoRig {
