@@ -38,7 +38,8 @@ pub struct ChildArguments {
 }
 
 fn parse_process(name: &str) -> Result<ProcessId, String> {
-    ProcessId::from_name(name).ok_or_else(|| format!("no process of that name; there are {:?}", ProcessId::ALL.map(ProcessId::name)))
+    ProcessId::from_name(name)
+        .ok_or_else(|| format!("no process of that name; there are {:?}", ProcessId::ALL.map(ProcessId::name)))
 }
 
 /// Runs the process until it is told to stop.

@@ -65,7 +65,10 @@ fn check(arguments: &CheckArguments) -> Result<ExitCode, Box<dyn Error>> {
     let config = FlightConfig::load(arguments.config.as_deref(), arguments.world.as_deref())?;
     config.check()?;
     let vehicle = &config.vehicle;
-    println!("{}: possible", arguments.config.as_ref().map_or("config/default.ron".into(), |path| path.display().to_string()));
+    println!(
+        "{}: possible",
+        arguments.config.as_ref().map_or("config/default.ron".into(), |path| path.display().to_string())
+    );
     println!("vehicle                {}, inflated by {} m", vehicle.name, vehicle.expansion.radius_m);
     println!("stereo good for        {:.1} m (standard deviation of depth below the radius)", config.sensing_range_m());
     println!(

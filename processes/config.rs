@@ -7,8 +7,8 @@ use ipc_types::bounds::Bounds;
 use ipc_types::noise::NoiseModel;
 use ipc_types::rig::{CameraMount, StereoRig};
 use runtime::lockstep::LatencyModel;
-use serde::{Deserialize, Serialize};
 use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
 use simulator::{SimulatorConfig, WorldConfig};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -311,7 +311,9 @@ impl VehicleConfig {
         bounds.require(
             radius_m >= hull_m + TRACKING_MARGIN_M,
             "expansion.radius_m",
-            format_args!("is {radius_m}, must be at least the hull's {hull_m} m plus {TRACKING_MARGIN_M} m of tracking error"),
+            format_args!(
+                "is {radius_m}, must be at least the hull's {hull_m} m plus {TRACKING_MARGIN_M} m of tracking error"
+            ),
         );
         bounds.require(
             body_m >= hull_m,
@@ -322,13 +324,21 @@ impl VehicleConfig {
         bounds.require(
             self.planner.commit_s >= deadline_s,
             "planner.commit_s",
-            format_args!("is {}, must be at least controller.trajectory_deadline_s + planner.lead_s = {deadline_s}", self.planner.commit_s),
+            format_args!(
+                "is {}, must be at least controller.trajectory_deadline_s + planner.lead_s = {deadline_s}",
+                self.planner.commit_s
+            ),
         );
         let able = self.simulator.vehicle.acceleration_mps2;
-        for (key, value) in
-            [("planner.acceleration_mps2", self.planner.acceleration_mps2), ("planner.braking_mps2", self.planner.braking_mps2)]
-        {
-            bounds.require(value < able, key, format_args!("is {value}, must be below what the vehicle can, {able} m/s²"));
+        for (key, value) in [
+            ("planner.acceleration_mps2", self.planner.acceleration_mps2),
+            ("planner.braking_mps2", self.planner.braking_mps2),
+        ] {
+            bounds.require(
+                value < able,
+                key,
+                format_args!("is {value}, must be below what the vehicle can, {able} m/s²"),
+            );
         }
     }
 }

@@ -100,7 +100,12 @@ fn process_line(child: &ChildStatus) -> String {
         ChildState::Stopped => "stopped",
     };
     let health = child.health.map_or(String::new(), |health| {
-        format!("{:6.1} ms/step  {} dropped  {}", health.last_step_ns as f64 * 1e-6, health.dropped, health.note.to_string_lossy())
+        format!(
+            "{:6.1} ms/step  {} dropped  {}",
+            health.last_step_ns as f64 * 1e-6,
+            health.dropped,
+            health.note.to_string_lossy()
+        )
     });
     format!("  {:<14} pid {pid:<8} {state:<10} {} restarts  {health}", child.process.name(), child.restarts)
 }

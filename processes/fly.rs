@@ -15,7 +15,9 @@ use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Duration;
-use supervisor::{ChildCommand, ChildStatus, Happening, LatencySummary, Mission, Outcome, ProcessSummary, Summary, Supervision};
+use supervisor::{
+    ChildCommand, ChildStatus, Happening, LatencySummary, Mission, Outcome, ProcessSummary, Summary, Supervision,
+};
 
 /// Options of a flight.
 #[derive(Clone, Debug, Args)]
@@ -59,7 +61,8 @@ pub(crate) struct FlyArguments {
 }
 
 fn parse_point(text: &str) -> Result<[f64; 3], String> {
-    let values: Vec<f64> = text.split(',').map(|value| value.trim().parse()).collect::<Result<_, _>>().map_err(|_| expected(text))?;
+    let values: Vec<f64> =
+        text.split(',').map(|value| value.trim().parse()).collect::<Result<_, _>>().map_err(|_| expected(text))?;
     values.try_into().map_err(|_| expected(text))
 }
 
@@ -132,7 +135,12 @@ const CHILDREN: [ProcessId; 7] = [
 ];
 
 /// The command line of a child.
-pub(crate) fn command(config: &FlightConfig, run: &RunDir, folder: &Path, process: ProcessId) -> std::io::Result<ChildCommand> {
+pub(crate) fn command(
+    config: &FlightConfig,
+    run: &RunDir,
+    folder: &Path,
+    process: ProcessId,
+) -> std::io::Result<ChildCommand> {
     let program = std::env::current_exe()?.display().to_string();
     let folder = folder.display().to_string();
     let arguments = [program.as_str(), "process", process.name(), "--run", run.name(), "--run-dir", &folder];
@@ -152,7 +160,8 @@ fn fly_processes(config: &FlightConfig, run: &RunDir, files: &RunFiles) -> Resul
         mission.connect(ports);
         ports.reads::<ipc_types::topics::Clock>();
     })?;
-    let commands: std::io::Result<Vec<_>> = CHILDREN.map(|process| command(config, run, files.folder(), process)).into_iter().collect();
+    let commands: std::io::Result<Vec<_>> =
+        CHILDREN.map(|process| command(config, run, files.folder(), process)).into_iter().collect();
     let mut supervision = Supervision::start(commands?)?;
     let mut display = Display::new(config.mission.goal());
     while mission.outcome().is_none() {
@@ -217,14 +226,18 @@ pub fn report(summary: &Summary, folder: &Path) -> String {
     line("flight time", format!("{:.1} s", summary.flight_time_s));
     line("path", format!("{:.1} m flown, {:.1} m straight", summary.path_length_m, summary.straight_line_m));
     line("least clearance", clearance);
-    line("speed", format!(
-        "cruise {:.1} m/s, mean {:.1} m/s, highest {:.1} m/s",
-        summary.cruise_speed_mps, summary.mean_speed_mps, summary.max_speed_mps
-    ));
+    line(
+        "speed",
+        format!(
+            "cruise {:.1} m/s, mean {:.1} m/s, highest {:.1} m/s",
+            summary.cruise_speed_mps, summary.mean_speed_mps, summary.max_speed_mps
+        ),
+    );
     line("replans", summary.replans.to_string());
     line("stereo pairs", format!("{}, of which {} led to no map", summary.frames, summary.frames_without_map));
     line("clock", format!("{:.3} flight seconds per second", summary.clock_ratio));
-    let latency = |l: &LatencySummary| format!("p50 {:6.1} ms   p99 {:6.1} ms   max {:6.1} ms", l.p50_ms, l.p99_ms, l.max_ms);
+    let latency =
+        |l: &LatencySummary| format!("p50 {:6.1} ms   p99 {:6.1} ms   max {:6.1} ms", l.p50_ms, l.p99_ms, l.max_ms);
     for stage in ["camera", "stereo-ingest", "expansion", "memory", "planner"] {
         if let Some(summary) = summary.stages.get(stage) {
             line(stage, latency(summary));

@@ -21,7 +21,8 @@ pub fn stereo_ingest(config: &FlightConfig) -> StereoProcess {
 
 /// The expansion process of a configuration.
 pub fn expansion(config: &FlightConfig) -> ExpansionProcess {
-    ExpansionProcess::new(config.vehicle.rig, &config.vehicle.noise, config.vehicle.expansion)
+    let vehicle = &config.vehicle;
+    ExpansionProcess::new(vehicle.rig, &vehicle.noise, vehicle.stereo.max_disparity_px, vehicle.expansion)
 }
 
 /// The memory process of a configuration.

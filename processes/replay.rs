@@ -169,7 +169,9 @@ fn digest(
         ports.reads::<HealthReports>();
     })?;
     let mut commands = Vec::new();
-    for process in [ProcessId::StereoIngest, ProcessId::Expansion, ProcessId::Memory, ProcessId::Recorder, ProcessId::Player] {
+    for process in
+        [ProcessId::StereoIngest, ProcessId::Expansion, ProcessId::Memory, ProcessId::Recorder, ProcessId::Player]
+    {
         commands.push(command(config, run, folder, process)?);
     }
     if let Some(player) = commands.last_mut() {
@@ -314,16 +316,32 @@ fn write_images(prefix: &Path, kind: &str, rig: &StereoRig, products: &Products)
 
 fn print(summary: &ReplaySummary) {
     println!("image                  {} x {} px", summary.width_px, summary.height_px);
-    println!("disparity              {:.1} % matched, {:.1} % textureless, {:.1} ms", summary.valid_percent, summary.textureless_percent, summary.stereo_ms);
-    println!("expanded               {:.1} % unknown, {:.1} ms", summary.expanded_unknown_percent, summary.expansion_ms);
+    println!(
+        "disparity              {:.1} % matched, {:.1} % textureless, {:.1} ms",
+        summary.valid_percent, summary.textureless_percent, summary.stereo_ms
+    );
+    println!(
+        "expanded               {:.1} % unknown, {:.1} ms",
+        summary.expanded_unknown_percent, summary.expansion_ms
+    );
     println!(
         "occupancy              {:.1} % free, {:.1} % occupied, {:.1} % unknown of {} points up to 12 m ahead; {} keyframe(s), {:.1} ms",
-        summary.free_percent, summary.occupied_percent, summary.unknown_percent, summary.occupancy_points, summary.keyframes, summary.memory_ms
+        summary.free_percent,
+        summary.occupied_percent,
+        summary.unknown_percent,
+        summary.occupancy_points,
+        summary.keyframes,
+        summary.memory_ms
     );
     if let Some(error) = &summary.disparity_error {
         println!(
             "against ground truth   density {:.1} %, off by more than 1/2/3 px {:.2}/{:.2}/{:.2} %, mean error {:.2} px over {} px",
-            error.density_percent, error.bad_percent[0], error.bad_percent[1], error.bad_percent[2], error.mean_error_px, error.scored
+            error.density_percent,
+            error.bad_percent[0],
+            error.bad_percent[1],
+            error.bad_percent[2],
+            error.mean_error_px,
+            error.scored
         );
         let [one, two, three] = error.bad_or_unmatched_percent;
         println!("unmatched as bad       {one:.2}/{two:.2}/{three:.2} %");

@@ -74,7 +74,18 @@ pub const RECORDER_IMAGE_DEPTH: usize = 8;
 macro_rules! for_each_topic {
     ($callback:ident) => {
         $callback!(
-            Clock, Truth, State, StereoFrames, Disparity, Expanded, Keyframes, Path, Goals, Plan, Setpoints, HealthReports
+            Clock,
+            Truth,
+            State,
+            StereoFrames,
+            Disparity,
+            Expanded,
+            Keyframes,
+            Path,
+            Goals,
+            Plan,
+            Setpoints,
+            HealthReports
         );
     };
 }

@@ -40,7 +40,12 @@ impl ControllerProcess {
             let (header, points) = (plan.header(), plan.elements());
             let ordered = points.windows(2).all(|pair| pair[0].t_s < pair[1].t_s);
             let finite = points.iter().all(|point| {
-                point.position_m.iter().chain(&point.velocity_mps).chain([&point.t_s, &point.yaw_rad]).all(|v| v.is_finite())
+                point
+                    .position_m
+                    .iter()
+                    .chain(&point.velocity_mps)
+                    .chain([&point.t_s, &point.yaw_rad])
+                    .all(|v| v.is_finite())
             });
             if ordered && finite {
                 self.reference = Some(Reference {

@@ -62,7 +62,9 @@ impl Tracker {
             return self.slew(now, Vector::ZERO, config.braking_mps2, 0.0, mode);
         };
         match reference.filter(|r| !r.points.is_empty()) {
-            None if self.commanded_at.is_none() => Command { velocity: Vector::ZERO, yaw_rate_radps: 0.0, mode: SetpointMode::Idle },
+            None if self.commanded_at.is_none() => {
+                Command { velocity: Vector::ZERO, yaw_rate_radps: 0.0, mode: SetpointMode::Idle }
+            }
             Some(reference) if fresh(reference.published, config.trajectory_deadline_s) => {
                 self.hover_at = None;
                 let (velocity, yaw_rad) = self.track(now, state, &reference.points, reference.start);
@@ -118,7 +120,8 @@ impl Tracker {
 
     /// v ≤ √(a_max·r), with the radius of the circle through the neighbours of a point.
     fn curve_limit(&self, points: &[TrajectoryPoint], index: usize) -> f64 {
-        let (Some(before), Some(after)) = (index.checked_sub(2).and_then(|i| points.get(i)), points.get(index + 2)) else {
+        let (Some(before), Some(after)) = (index.checked_sub(2).and_then(|i| points.get(i)), points.get(index + 2))
+        else {
             return f64::INFINITY;
         };
         let [a, b, c] = [before, &points[index], after].map(|p| Point::<World>::from_array(p.position_m));
@@ -138,7 +141,14 @@ impl Tracker {
     }
 
     /// Moves the command towards `wanted` no faster than `slew_mps2`.
-    fn slew(&mut self, now: FlightTime, wanted: Vector<World>, slew_mps2: f64, yaw_rate_radps: f64, mode: SetpointMode) -> Command {
+    fn slew(
+        &mut self,
+        now: FlightTime,
+        wanted: Vector<World>,
+        slew_mps2: f64,
+        yaw_rate_radps: f64,
+        mode: SetpointMode,
+    ) -> Command {
         let wanted = if wanted.is_finite() { wanted } else { Vector::ZERO };
         let elapsed_s = self.commanded_at.map_or(0.0, |at| now.seconds_since(at).clamp(0.0, 0.2));
         self.command += (wanted - self.command).clamp_norm(slew_mps2 * elapsed_s);
@@ -202,7 +212,14 @@ mod tests {
     }
 
     /// Flies the tracker against a first-order vehicle until `until`; the reference is renewed unless stale is wanted.
-    fn fly(tracker: &mut Tracker, from: f64, until: f64, renew: bool, at: &mut Point<World>, velocity: &mut Vector<World>) -> Vec<Command> {
+    fn fly(
+        tracker: &mut Tracker,
+        from: f64,
+        until: f64,
+        renew: bool,
+        at: &mut Point<World>,
+        velocity: &mut Vector<World>,
+    ) -> Vec<Command> {
         let mut commands = Vec::new();
         let reference = straight(0.0);
         let mut now = from;
@@ -285,7 +302,8 @@ mod tests {
             reference.points[4].yaw_rad = value;
             for i in 0..20 {
                 let now = f64::from(i) * 0.02;
-                let command = tracker.step(t(now), Some(&state(now, Point::new(1.0, 0.0, 2.0), Vector::ZERO)), Some(&reference));
+                let command =
+                    tracker.step(t(now), Some(&state(now, Point::new(1.0, 0.0, 2.0), Vector::ZERO)), Some(&reference));
                 assert!(command.velocity.is_finite() && command.yaw_rate_radps.is_finite());
             }
         }

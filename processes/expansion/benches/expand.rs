@@ -33,7 +33,7 @@ fn bench(criterion: &mut Criterion) {
         for radius_m in [0.5, 1.5] {
             let background = BackgroundRule { limit_m: 12.0, share: 0.7, textureless_share: 0.8 };
             let config = Config { radius_m, body_radius_m: 0.3, body_half_height_m: 0.15, hole_px: 24, background };
-            let mut expander = Expander::new(rig, &noise, config);
+            let mut expander = Expander::new(rig, &noise, 128, config);
             let image = scene(&rig);
             let mut planes = vec![0; 3 * image.len()];
             criterion.bench_function(&format!("expand {width}x{height} r={radius_m}"), |bencher| {

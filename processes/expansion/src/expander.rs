@@ -6,6 +6,7 @@ use crate::range_max::RangeMax;
 use crate::tables::Tables;
 use crate::window::Axis;
 use ipc_types::StereoRig;
+use ipc_types::disparity::encode;
 use ipc_types::messages::{ExpandedPlanes, UNKNOWN_FRONT};
 use ipc_types::noise::NoiseModel;
 use multiversion::multiversion;
@@ -49,8 +50,9 @@ pub struct Expander {
 }
 
 impl Expander {
-    /// Prepares tables and scratch.
-    pub fn new(rig: StereoRig, noise: &NoiseModel, config: Config) -> Self {
+    /// Prepares tables and scratch. `sensed_px` is the largest disparity that the images can report: what is nearer
+    /// goes unmatched, so no image vouches for it.
+    pub fn new(rig: StereoRig, noise: &NoiseModel, sensed_px: u32, config: Config) -> Self {
         let (width, height) = (rig.width_px as usize, rig.height_px as usize);
         let focal_px = rig.focal_px as f32;
         let scratch = || vec![0; width * height];
@@ -58,8 +60,12 @@ impl Expander {
         let column_axis = Axis { focal_px, centre_px: rig.cy_px as f32, length_px: height };
         let border_limit = |index: usize| {
             let (row, column) = (index / width, index % width);
-            let limit = |axis: Axis, pixel, extent_m| near_limit(&rig, extent_m, axis.to_border(pixel), axis.slope(pixel));
-            limit(row_axis, column, config.body_radius_m).min(limit(column_axis, row, config.body_half_height_m))
+            let limit =
+                |axis: Axis, pixel, extent_m| near_limit(&rig, extent_m, axis.to_border(pixel), axis.slope(pixel));
+            let border =
+                limit(row_axis, column, config.body_radius_m).min(limit(column_axis, row, config.body_half_height_m));
+            // A pixel's match lies to the left in the right image, at most as far as that image goes.
+            border.min(encode(sensed_px.min(column as u32) as f32))
         };
         Self {
             border_limits: (0..width * height).map(border_limit).collect(),

@@ -1,9 +1,10 @@
 //! The expansion process: disparity topic in, expanded topic out.
 
-use crate::Expander;
-use ipc_types::ProcessId;
+use crate::{Config, Expander};
+use ipc_types::noise::NoiseModel;
 use ipc_types::time::FlightTime;
 use ipc_types::topics::{Disparity, Expanded};
+use ipc_types::{ProcessId, StereoRig};
 use runtime::{Connect, Message, Ports, Process, Report};
 
 /// Connects an [`Expander`] to its topics.
@@ -16,10 +17,10 @@ pub struct ExpansionProcess {
 }
 
 impl ExpansionProcess {
-    /// For a rig's images.
-    pub fn new(rig: ipc_types::StereoRig, noise: &ipc_types::noise::NoiseModel, config: crate::Config) -> Self {
+    /// For a rig's images that report disparities up to `sensed_px`.
+    pub fn new(rig: StereoRig, noise: &NoiseModel, sensed_px: u32, config: Config) -> Self {
         Self {
-            expander: Expander::new(rig, noise, config),
+            expander: Expander::new(rig, noise, sensed_px, config),
             pixels: rig.pixels(),
             radius_m: config.radius_m,
             report: Report::waiting("waiting for disparity images"),

@@ -37,8 +37,7 @@ impl Tables {
             })
             .collect();
         let front = (0..values).map(|key| front_of(rig, radius_m, f64::from(px(key)))).collect();
-        let radius_over_depth =
-            (0..values).map(|key| (radius_m / rig.depth_m(f64::from(px(key)))) as f32).collect();
+        let radius_over_depth = (0..values).map(|key| (radius_m / rig.depth_m(f64::from(px(key)))) as f32).collect();
         Self { back: backs(rig, noise, radius_m, &near), near, front, radius_over_depth }
     }
 

@@ -65,7 +65,10 @@ mod tests {
                     let (dx, dz) = (q * angle.cos(), q * angle.sin());
                     let column = (AXIS.centre_px + AXIS.focal_px * (x + dx) / (1.0 + dz)).round();
                     if (0.0..320.0).contains(&column) {
-                        assert!((first..=last).contains(&(column as usize)), "{pixel} {q}: {column} not in {first}..={last}");
+                        assert!(
+                            (first..=last).contains(&(column as usize)),
+                            "{pixel} {q}: {column} not in {first}..={last}"
+                        );
                     }
                 }
             }

@@ -7,17 +7,9 @@ use ipc_types::noise::NoiseModel;
 use ipc_types::{Camera, Point, StereoRig};
 use rand::{RngExt, SeedableRng};
 
-const RIG: StereoRig = StereoRig {
-    width_px: 96,
-    height_px: 72,
-    focal_px: 60.0,
-    cx_px: 47.5,
-    cy_px: 35.5,
-    baseline_m: 0.3,
-    doffs_px: 0.0,
-};
-const NOISE: NoiseModel =
-    NoiseModel { sigma_px: 0.3, lambda_near: 3.0, lambda_far: 1.0, near_px: 6.0, far_px: 1.5 };
+const RIG: StereoRig =
+    StereoRig { width_px: 96, height_px: 72, focal_px: 60.0, cx_px: 47.5, cy_px: 35.5, baseline_m: 0.3, doffs_px: 0.0 };
+const NOISE: NoiseModel = NoiseModel { sigma_px: 0.3, lambda_near: 3.0, lambda_far: 1.0, near_px: 6.0, far_px: 1.5 };
 const BACKGROUND: BackgroundRule = BackgroundRule { limit_m: 12.0, share: 0.7, textureless_share: 0.8 };
 
 fn config(radius_m: f32, hole_px: u32) -> Config {
@@ -76,10 +68,11 @@ fn random_scene(seed: u64, unmatched: f64) -> Vec<u16> {
 
 #[test]
 fn no_point_near_a_measured_surface_is_free() {
-    for (seed, radius_m, unmatched) in [(1, 0.4_f32, 0.0), (2, 0.7, 0.05), (3, 1.5, 0.2), (4, 0.7, 0.0), (5, 0.3, 0.1)] {
+    for (seed, radius_m, unmatched) in [(1, 0.4_f32, 0.0), (2, 0.7, 0.05), (3, 1.5, 0.2), (4, 0.7, 0.0), (5, 0.3, 0.1)]
+    {
         let image = random_scene(seed, unmatched);
         let mut planes = vec![0; 3 * image.len()];
-        Expander::new(RIG, &NOISE, config(radius_m, 4)).step(&image, &mut planes).expect("sizes agree");
+        Expander::new(RIG, &NOISE, 1000, config(radius_m, 4)).step(&image, &mut planes).expect("sizes agree");
         let planes = ExpandedPlanes::split(&planes, image.len()).expect("three planes");
         let mut random = rand_pcg::Pcg64Mcg::seed_from_u64(seed + 100);
         let mut checked = 0;
@@ -119,7 +112,7 @@ fn a_gap_of_two_radii_and_two_pixels_between_poles_stays_open() {
     let is_pole = |column: usize| column.abs_diff(width / 2) >= half_gap && column.abs_diff(width / 2) < half_gap + 4;
     let image: Vec<u16> = (0..width * height).map(|i| if is_pole(i % width) { near } else { far }).collect();
     let mut planes = vec![0; 3 * image.len()];
-    Expander::new(RIG, &noise, config(radius_m, 0)).step(&image, &mut planes).expect("sizes agree");
+    Expander::new(RIG, &noise, 1000, config(radius_m, 0)).step(&image, &mut planes).expect("sizes agree");
     let planes = ExpandedPlanes::split(&planes, image.len()).expect("three planes");
     let through = Point::new(0.5 * depth_m / RIG.focal_px, 0.0, depth_m);
     assert_eq!(ask(&planes, through), Some(Answer::Free));
@@ -131,11 +124,11 @@ fn a_gap_of_two_radii_and_two_pixels_between_poles_stays_open() {
 fn unknown_exceeds_the_unmatched_share_only_by_the_image_border() {
     let image = random_scene(7, 0.0);
     let mut planes = vec![0; 3 * image.len()];
-    let expansion = Expander::new(RIG, &NOISE, config(0.5, 0)).step(&image, &mut planes).expect("sizes agree");
+    let expansion = Expander::new(RIG, &NOISE, 1000, config(0.5, 0)).step(&image, &mut planes).expect("sizes agree");
     assert_eq!(expansion.unknown_share, 0.0);
     let mut holed = image.clone();
     holed.iter_mut().take(96 * 20).for_each(|pixel| *pixel = NO_MATCH);
-    let expansion = Expander::new(RIG, &NOISE, config(0.5, 0)).step(&holed, &mut planes).expect("sizes agree");
+    let expansion = Expander::new(RIG, &NOISE, 1000, config(0.5, 0)).step(&holed, &mut planes).expect("sizes agree");
     assert!((expansion.unknown_share - 20.0 / 72.0).abs() < 0.01, "{}", expansion.unknown_share);
 }
 
@@ -149,7 +142,7 @@ fn clear_sky_grants_a_limited_range_and_a_blank_wall_none_beyond_it() {
     };
     let ahead = |image: &[u16], depth_m: f64| {
         let mut planes = vec![0; 3 * image.len()];
-        Expander::new(RIG, &NOISE, config(0.5, 0)).step(image, &mut planes).expect("sizes agree");
+        Expander::new(RIG, &NOISE, 1000, config(0.5, 0)).step(image, &mut planes).expect("sizes agree");
         let planes = ExpandedPlanes::split(&planes, image.len()).expect("three planes");
         ask(&planes, Point::new(0.0, -0.1 * depth_m, depth_m)).expect("in view")
     };
@@ -167,7 +160,7 @@ fn clear_sky_grants_a_limited_range_and_a_blank_wall_none_beyond_it() {
 
 #[test]
 fn hostile_images_are_refused_or_answered_without_panic() {
-    let mut expander = Expander::new(RIG, &NOISE, config(0.5, 4));
+    let mut expander = Expander::new(RIG, &NOISE, 1000, config(0.5, 4));
     let mut planes = vec![0; 3 * RIG.pixels()];
     assert!(expander.step(&[], &mut planes).is_err());
     assert!(expander.step(&vec![0; RIG.pixels()], &mut planes[1..]).is_err());

@@ -172,7 +172,8 @@ impl View {
         let column = self.centre_px.0 + self.focal_px * x / z + 0.5;
         let row = self.centre_px.1 + self.focal_px * y / z + 0.5;
         // Written so that NaN is out of view.
-        let inside = column >= 0.0 && row >= 0.0 && column < self.rig.width_px as f32 && row < self.rig.height_px as f32;
+        let inside =
+            column >= 0.0 && row >= 0.0 && column < self.rig.width_px as f32 && row < self.rig.height_px as f32;
         if !inside {
             return Vote::OutOfView;
         }
@@ -215,12 +216,8 @@ mod tests {
     };
     const NOISE: NoiseModel =
         NoiseModel { sigma_px: 0.1, lambda_near: 3.0, lambda_far: 1.0, near_px: 8.0, far_px: 3.0 };
-    const RULE: FreeSpaceRule = FreeSpaceRule {
-        home_radius_m: 1.0,
-        home_height_m: 2.0,
-        swept_radius_m: 0.5,
-        background_parallax_m: 0.5,
-    };
+    const RULE: FreeSpaceRule =
+        FreeSpaceRule { home_radius_m: 1.0, home_height_m: 2.0, swept_radius_m: 0.5, background_parallax_m: 0.5 };
     const GAMMA: f32 = 0.9;
 
     fn view() -> View {

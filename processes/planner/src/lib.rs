@@ -98,7 +98,10 @@ impl Config {
         bounds.require(
             candidates <= Self::MOST_CANDIDATES,
             "",
-            format_args!("speeds, headings and climbs make {candidates} candidates, allowed are {}", Self::MOST_CANDIDATES),
+            format_args!(
+                "speeds, headings and climbs make {candidates} candidates, allowed are {}",
+                Self::MOST_CANDIDATES
+            ),
         );
         bounds.range("horizon_s", self.horizon_s, 0.3..=6.0);
         bounds.range("tail_m", self.tail_m, 0.0..=50.0);

@@ -67,7 +67,7 @@ const LEFT_M: f64 = 1.0;
 /// Speed of backing out, m/s.
 const BACK_OUT_MPS: f64 = 1.0;
 /// Longest time that backing out may take, s.
-const BACK_OUT_S: f64 = 15.0;
+const BACK_OUT_S: f64 = 20.0;
 /// Shortest move worth making, m: less is standing still.
 const WORTHWHILE_M: f64 = 0.3;
 
@@ -110,10 +110,7 @@ impl Planner {
         }
         // Where the vehicle will be when the plan takes effect.
         let ahead_s = start.seconds_since(situation.state_valid).clamp(0.0, 0.5);
-        let from = Sample {
-            position: situation.position + situation.velocity * ahead_s,
-            velocity: situation.velocity,
-        };
+        let from = Sample { position: situation.position + situation.velocity * ahead_s, velocity: situation.velocity };
         let plan = |mode| Plan { start, mode, candidates: 0, admissible: 0 };
         let top = Point::new(self.home.x, self.home.y, self.home.z + self.config.cruise_height_m);
         self.airborne |= situation.position.z >= top.z - 0.3;
@@ -132,7 +129,14 @@ impl Planner {
         if let Stage::BackingOut { since, to } = self.stuck.stage {
             return Plan { mode: self.back_out(situation, from, view, since, to), ..plan(PlanMode::BackOut) };
         }
-        self.stuck.note_progress(situation.now, situation.position, to_goal_m, &self.config);
+        if !self.arrived {
+            let path = view.free_space().path();
+            self.stuck.note_progress(situation.now, situation.position, to_goal_m, path, &self.config);
+        }
+        if matches!(self.stuck.stage, Stage::BackingOut { .. }) {
+            self.brake(from, situation.yaw_rad);
+            return plan(PlanMode::Hold);
+        }
         let (candidates, admissible) = self.choose(from, situation, view);
         if admissible == 0 {
             let mode = self.no_plan(from, situation, view);
@@ -229,9 +233,8 @@ impl Planner {
             return PlanMode::Hold;
         };
         // The next place on the way: never cut a corner that was not flown.
-        let here = (to..path.len()).min_by(|&a, &b| {
-            path[a].distance(situation.position).total_cmp(&path[b].distance(situation.position))
-        });
+        let here = (to..path.len())
+            .min_by(|&a, &b| path[a].distance(situation.position).total_cmp(&path[b].distance(situation.position)));
         let next = here.map_or(end, |here| path[here.saturating_sub(2).max(to)]);
         self.flying = None;
         self.best.fill(from, Target::Place(next, BACK_OUT_MPS), 1.0, &self.config);

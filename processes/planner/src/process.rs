@@ -68,7 +68,8 @@ impl PlannerProcess {
                 self.images.push((keyframe.image_id, image.clone()));
                 Some(image)
             });
-            let usable = image.zip(keyframe.world_from_camera()).is_some_and(|(image, pose)| self.view.push(pose, image));
+            let usable =
+                image.zip(keyframe.world_from_camera()).is_some_and(|(image, pose)| self.view.push(pose, image));
             if !usable {
                 // The map is smaller by one view; nothing becomes free by that.
                 self.report.refuse("a keyframe is missing or damaged");
@@ -126,7 +127,11 @@ impl Process for PlannerProcess {
             self.look(ports, set.elements());
         }
         let Some(situation) = self.situation(ports.now()) else {
-            return self.report.degraded(if self.goal.is_none() { "waiting for a goal" } else { "waiting for a state" });
+            return self.report.degraded(if self.goal.is_none() {
+                "waiting for a goal"
+            } else {
+                "waiting for a state"
+            });
         };
         let plan = self.planner.step(&situation, &self.view);
         let (planner, lead_s) = (&self.planner, self.lead_s);

@@ -6,9 +6,13 @@ use ipc_types::{FlightTime, Point, World};
 /// Progress that counts, m.
 const PROGRESS_M: f64 = 1.0;
 /// Radius within which a place where the vehicle was stuck repels, m.
-const REPULSION_M: f64 = 4.0;
-/// Flying without progress for this long means dithering, s.
-const DITHERING_S: f64 = 12.0;
+const REPULSION_M: f64 = 5.0;
+/// Staying within `DITHERING_M` for this long means dithering, s.
+const DITHERING_S: f64 = 6.0;
+/// See above, m.
+const DITHERING_M: f64 = 2.0;
+/// Flying about without getting nearer for this long marks the place, s.
+const DETOUR_S: f64 = 30.0;
 
 /// Stage of being stuck.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -43,11 +47,19 @@ pub(crate) struct Stuck {
     places: Vec<Point<World>>,
     nearest_m: f64,
     progressed: FlightTime,
+    /// Where the vehicle was when it last left the neighbourhood, and when.
+    anchor: Option<(FlightTime, Point<World>)>,
 }
 
 impl Stuck {
     pub(crate) fn new() -> Self {
-        Self { stage: Stage::Moving, places: Vec::new(), nearest_m: f64::INFINITY, progressed: FlightTime::ZERO }
+        Self {
+            stage: Stage::Moving,
+            places: Vec::new(),
+            nearest_m: f64::INFINITY,
+            progressed: FlightTime::ZERO,
+            anchor: None,
+        }
     }
 
     /// A new goal forgives everything.
@@ -55,13 +67,28 @@ impl Stuck {
         *self = Self::new();
     }
 
-    /// Notes the distance to the goal. Dithering without progress marks the place, as being stuck does.
-    pub(crate) fn note_progress(&mut self, now: FlightTime, at: Point<World>, to_goal_m: f64, config: &Config) {
+    /// Notes where the vehicle is. Dithering makes it back out, as being stuck does; a detour that leads nowhere
+    /// marks the place.
+    pub(crate) fn note_progress(
+        &mut self,
+        now: FlightTime,
+        at: Point<World>,
+        to_goal_m: f64,
+        path: &[Point<World>],
+        config: &Config,
+    ) {
         if to_goal_m < self.nearest_m - PROGRESS_M {
             (self.nearest_m, self.progressed) = (to_goal_m, now);
-        } else if now.seconds_since(self.progressed) > DITHERING_S {
+        } else if now.seconds_since(self.progressed) > DETOUR_S {
             self.progressed = now;
             self.mark(at, config);
+        }
+        let (since, place) = *self.anchor.get_or_insert((now, at));
+        if place.distance(at) > DITHERING_M || self.stage != Stage::Moving {
+            self.anchor = Some((now, at));
+        } else if now.seconds_since(since) > DITHERING_S {
+            self.anchor = Some((now, at));
+            self.retreat(now, at, path, config);
         }
     }
 
@@ -81,15 +108,23 @@ impl Stuck {
                 Stage::LookingAround { since: now }
             }
             Stage::LookingAround { since } if now.seconds_since(since) > turn_s => {
-                self.mark(at, config);
-                match (self.stage, back_along(path, at, config.back_out_m)) {
-                    (Stage::GivenUp, _) => Stage::GivenUp,
-                    (_, Some(to)) => Stage::BackingOut { since: now, to },
-                    (_, None) => Stage::LookingAround { since: now },
-                }
+                self.retreat(now, at, path, config);
+                self.stage
             }
             same => same,
         };
+    }
+
+    /// Marks the place and backs out, farther every time; or gives up.
+    fn retreat(&mut self, now: FlightTime, at: Point<World>, path: &[Point<World>], config: &Config) {
+        self.mark(at, config);
+        if self.stage != Stage::GivenUp {
+            let distance_m = config.back_out_m * (1.0 + 0.5 * (self.places.len() - 1) as f64);
+            self.stage = match back_along(path, at, distance_m) {
+                Some(to) => Stage::BackingOut { since: now, to },
+                None => Stage::LookingAround { since: now },
+            };
+        }
     }
 
     /// The place to back out to was reached, or was not within a reasonable time.
@@ -134,14 +169,14 @@ mod tests {
     #[test]
     fn waits_looks_around_backs_out_and_finally_gives_up() {
         let config = config();
-        let path: Vec<_> = (0..40).map(|i| Point::new(f64::from(i) * 0.25, 0.0, 2.0)).collect();
+        let path: Vec<_> = (0..80).map(|i| Point::new(f64::from(i) * 0.25, 0.0, 2.0)).collect();
         let mut stuck = Stuck::new();
         let mut stages = Vec::new();
-        let at = path[39];
+        let at = path[79];
         for tick in 0..3000 {
             let now = FlightTime::from_secs_f64(f64::from(tick) * 0.1);
             if let Stage::BackingOut { to, .. } = stuck.stage {
-                assert!((path[to].distance(at) - config.back_out_m).abs() < 0.3);
+                assert!(path[to].distance(at) > config.back_out_m - 0.3);
                 stuck.backed_out(now);
             } else {
                 stuck.no_plan(now, at, &path, &config);
@@ -160,6 +195,6 @@ mod tests {
         let mut stuck = Stuck::new();
         stuck.mark(Point::ZERO, &config());
         assert!(stuck.price(Point::new(1.0, 0.0, 0.0)) > stuck.price(Point::new(3.0, 0.0, 0.0)));
-        assert_eq!(stuck.price(Point::new(5.0, 0.0, 0.0)), 0.0);
+        assert_eq!(stuck.price(Point::new(6.0, 0.0, 0.0)), 0.0);
     }
 }

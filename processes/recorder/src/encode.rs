@@ -24,7 +24,8 @@ fn properties<T: Topic>() -> Value {
 fn describe(value: &Value) -> Value {
     match value {
         Value::Object(fields) => {
-            let properties: Map<String, Value> = fields.iter().map(|(key, value)| (key.clone(), describe(value))).collect();
+            let properties: Map<String, Value> =
+                fields.iter().map(|(key, value)| (key.clone(), describe(value))).collect();
             json!({ "type": "object", "properties": properties })
         }
         Value::Array(items) => json!({ "type": "array", "items": items.first().map_or(json!({}), describe) }),
@@ -49,7 +50,9 @@ fn elements_of<T: Topic>(elements: &[T::Element]) -> Option<Value> {
         let same = (&bytemuck::Zeroable::zeroed() as &T::Element as &dyn Any).is::<E>();
         same.then(|| serde_json::to_value(bytemuck::cast_slice::<T::Element, E>(elements)).unwrap_or(Value::Null))
     }
-    list::<T, Keyframe>(elements).or_else(|| list::<T, PathPoint>(elements)).or_else(|| list::<T, TrajectoryPoint>(elements))
+    list::<T, Keyframe>(elements)
+        .or_else(|| list::<T, PathPoint>(elements))
+        .or_else(|| list::<T, TrajectoryPoint>(elements))
 }
 
 /// JSON schema of Foxglove's `RawImage`.

@@ -59,7 +59,14 @@ impl LogWriter {
     ///
     /// # Errors
     /// The file cannot be written.
-    pub fn write(&mut self, channel: u16, sequence: u64, valid_ns: i64, published_ns: i64, json: &[u8]) -> Result<(), LogError> {
+    pub fn write(
+        &mut self,
+        channel: u16,
+        sequence: u64,
+        valid_ns: i64,
+        published_ns: i64,
+        json: &[u8],
+    ) -> Result<(), LogError> {
         let header = MessageHeader {
             channel_id: channel,
             sequence: sequence as u32,

@@ -26,7 +26,9 @@ const NEEDED_BYTES: u64 = 256 << 20;
 #[derive(Debug, thiserror::Error)]
 pub enum RunError {
     /// The name cannot be part of a socket's path.
-    #[error("run name \"{name}\" must be 1 to {MAX_RUN_NAME} characters of a-z, A-Z, 0-9, '-' and '_' (it becomes part of socket paths)")]
+    #[error(
+        "run name \"{name}\" must be 1 to {MAX_RUN_NAME} characters of a-z, A-Z, 0-9, '-' and '_' (it becomes part of socket paths)"
+    )]
     BadName {
         /// As given.
         name: String,
@@ -123,14 +125,10 @@ impl RunDir {
             .write(true)
             .open(&lock_path)
             .map_err(inaccessible(&lock_path))?;
-        flock(&lock, FlockOperation::NonBlockingLockExclusive).map_err(|_| RunError::AlreadyRunning {
-            name: self.name.clone(),
-            lock: lock_path.display().to_string(),
-        })?;
-        let statistics = rustix::fs::statvfs(SHARED_MEMORY).map_err(|errno| RunError::Inaccessible {
-            path: SHARED_MEMORY.to_owned(),
-            source: errno.into(),
-        })?;
+        flock(&lock, FlockOperation::NonBlockingLockExclusive)
+            .map_err(|_| RunError::AlreadyRunning { name: self.name.clone(), lock: lock_path.display().to_string() })?;
+        let statistics = rustix::fs::statvfs(SHARED_MEMORY)
+            .map_err(|errno| RunError::Inaccessible { path: SHARED_MEMORY.to_owned(), source: errno.into() })?;
         let free = statistics.f_bavail * statistics.f_frsize;
         if free < NEEDED_BYTES {
             return Err(RunError::NoSpace { free_mib: free >> 20 });

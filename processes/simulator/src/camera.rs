@@ -90,7 +90,10 @@ impl StereoCamera {
     pub fn true_disparity(&mut self, world_from_camera: Pose<WorldFrame, Camera>) -> Vec<f32> {
         self.renderer.render(world_from_camera, &mut self.light);
         let rig = self.rig;
-        self.renderer.depths().map(|depth| if depth.is_finite() { rig.disparity_px(f64::from(depth)) as f32 } else { 0.0 }).collect()
+        self.renderer
+            .depths()
+            .map(|depth| if depth.is_finite() { rig.disparity_px(f64::from(depth)) as f32 } else { 0.0 })
+            .collect()
     }
 
     fn eye(&mut self, world_from_camera: Pose<WorldFrame, Camera>, gain: f32, pixels: &mut [u8]) {

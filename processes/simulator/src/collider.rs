@@ -93,7 +93,8 @@ impl Collider {
         let hits = |pose: &Isometry, shape: &dyn parry3d::shape::Shape| {
             let still = Vec3::ZERO;
             // An unsupported pair cannot occur; were it to, it counts as a hit.
-            query::cast_shapes(&begin, motion, &self.hull, pose, still, shape, options).map_or(true, |hit| hit.is_some())
+            query::cast_shapes(&begin, motion, &self.hull, pose, still, shape, options)
+                .map_or(true, |hit| hit.is_some())
         };
         let struck = self.tree.intersect_aabb(&swept).any(|leaf| {
             let (pose, solid) = &self.solids[leaf as usize];
@@ -114,7 +115,11 @@ fn solid(shape: &Shape) -> (Isometry, SharedShapeDebug) {
         Shape::Capsule { from, to, radius_m } => {
             let (from, to, radius) = (vector(from.to_array()), vector(to.to_array()), radius_m as f32);
             // A capsule without length is a ball.
-            let shape = if from == to { SharedShape::ball(radius) } else { SharedShape::new(Capsule::new(Vec3::ZERO, to - from, radius)) };
+            let shape = if from == to {
+                SharedShape::ball(radius)
+            } else {
+                SharedShape::new(Capsule::new(Vec3::ZERO, to - from, radius))
+            };
             (Isometry::from_parts(from, Quaternion::IDENTITY), shape)
         }
         Shape::Cuboid { centre, half_m, heading_rad } => {

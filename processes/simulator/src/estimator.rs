@@ -113,8 +113,13 @@ mod tests {
 
     #[test]
     fn errors_have_the_stated_size_and_delay() {
-        let config =
-            EstimatorConfig { delay_ms: 20.0, attitude_deg: 0.5, velocity_mps: 0.1, drift_m_per_sqrt_s: 0.02, correlation_s: 0.2 };
+        let config = EstimatorConfig {
+            delay_ms: 20.0,
+            attitude_deg: 0.5,
+            velocity_mps: 0.1,
+            drift_m_per_sqrt_s: 0.02,
+            correlation_s: 0.2,
+        };
         let mut estimator = Estimator::new(config, 9);
         let (mut squares, mut count) = (0.0, 0);
         for tick in 0..20_000 {
@@ -132,7 +137,13 @@ mod tests {
 
     #[test]
     fn without_errors_it_is_the_truth() {
-        let config = EstimatorConfig { delay_ms: 0.0, attitude_deg: 0.0, velocity_mps: 0.0, drift_m_per_sqrt_s: 0.0, correlation_s: 1.0 };
+        let config = EstimatorConfig {
+            delay_ms: 0.0,
+            attitude_deg: 0.0,
+            velocity_mps: 0.0,
+            drift_m_per_sqrt_s: 0.0,
+            correlation_s: 1.0,
+        };
         let mut estimator = Estimator::new(config, 1);
         let pose = Pose { translation: Vector::new(1.0, 2.0, 3.0), ..Pose::IDENTITY };
         estimator.measure(FlightTime::from_secs_f64(1.0), pose, Vector::new(1.0, 0.0, 0.0));

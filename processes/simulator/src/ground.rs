@@ -36,7 +36,8 @@ impl Ground {
         let height = |index: usize| {
             let x = origin[0] + (index % columns) as f64 * SPACING_M;
             let y = origin[1] + (index / columns) as f64 * SPACING_M;
-            waves.iter().map(|[kx, ky, phase, amplitude]| amplitude * (kx * x + ky * y + phase).sin()).sum::<f64>() as f32
+            waves.iter().map(|[kx, ky, phase, amplitude]| amplitude * (kx * x + ky * y + phase).sin()).sum::<f64>()
+                as f32
         };
         Self {
             origin: origin.map(|value| value as f32),

@@ -54,7 +54,8 @@ impl Pinhole {
                 most[axis] = most[axis].max((x + spread) / (1.0 - q * q));
             }
         }
-        let clip = |value: f32, centre: f32, length: usize| (value * self.focal + centre).clamp(-1.0, length as f32) as isize;
+        let clip =
+            |value: f32, centre: f32, length: usize| (value * self.focal + centre).clamp(-1.0, length as f32) as isize;
         let span = |axis: usize, centre: f32, length: usize| {
             let from = clip(least[axis], centre, length).max(0) as usize;
             let to = (clip(most[axis], centre, length) + 2).clamp(0, length as isize) as usize;

@@ -81,7 +81,16 @@ impl Renderer {
         let lines = self.depths.chunks_exact_mut(stride(width)).zip(self.identities.chunks_exact_mut(stride(width)));
         for (row, ((depths, identities), grey)) in lines.zip(grey.chunks_exact_mut(width)).enumerate() {
             draw_ground(self.pinhole, &eye, row, &world.ground, &mut depths[..width], &mut identities[..width]);
-            shade(self.pinhole, &eye, row, &self.texture, world.obstacles(), &depths[..width], &identities[..width], grey);
+            shade(
+                self.pinhole,
+                &eye,
+                row,
+                &self.texture,
+                world.obstacles(),
+                &depths[..width],
+                &identities[..width],
+                grey,
+            );
         }
     }
 

@@ -81,7 +81,9 @@ impl Vehicle {
     pub fn step(&mut self, now: FlightTime, step_s: f64, ground_m: f64) {
         let config = self.config;
         let (velocity, yaw_rate) = match self.setpoint {
-            Some((at, velocity, yaw_rate)) if now.seconds_since(at) <= config.setpoint_timeout_s => (velocity, yaw_rate),
+            Some((at, velocity, yaw_rate)) if now.seconds_since(at) <= config.setpoint_timeout_s => {
+                (velocity, yaw_rate)
+            }
             _ => (Vector::ZERO, 0.0),
         };
         if !self.airborne && velocity.z < 0.1 {

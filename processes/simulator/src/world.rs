@@ -82,7 +82,11 @@ impl WorldConfig {
             bounds.range("least_m", self.least_m[axis], -2000.0..=2000.0);
             bounds.range("most_m", self.most_m[axis], -2000.0..=2000.0);
             let side = self.most_m[axis] - self.least_m[axis];
-            bounds.require((1.0..=1000.0).contains(&side), "most_m", format_args!("spans {side} m, allowed are 1 to 1000 m"));
+            bounds.require(
+                (1.0..=1000.0).contains(&side),
+                "most_m",
+                format_args!("spans {side} m, allowed are 1 to 1000 m"),
+            );
         }
         bounds.range("ground_amplitude_m", self.ground_amplitude_m, 0.0..=5.0);
         bounds.range("ground_wavelength_m", self.ground_wavelength_m, 2.0..=1000.0);
@@ -116,7 +120,11 @@ impl Forest {
         for (name, (least, most), allowed) in ranges {
             bounds.range(name, least, allowed.clone());
             bounds.range(name, most, allowed);
-            bounds.require(least <= most, name, format_args!("is ({least}, {most}), the first must not exceed the second"));
+            bounds.require(
+                least <= most,
+                name,
+                format_args!("is ({least}, {most}), the first must not exceed the second"),
+            );
         }
         for (name, (least, most)) in [("branches", self.branches), ("canopy_balls", self.canopy_balls)] {
             bounds.range(name, most, least..=40);
@@ -263,7 +271,14 @@ impl World {
         }
     }
 
-    fn capsule(&mut self, from: Point<WorldFrame>, to: Point<WorldFrame>, radius_m: f64, brightness: f32, contrast: f32) {
+    fn capsule(
+        &mut self,
+        from: Point<WorldFrame>,
+        to: Point<WorldFrame>,
+        radius_m: f64,
+        brightness: f32,
+        contrast: f32,
+    ) {
         self.obstacles.push(Obstacle { shape: Shape::Capsule { from, to, radius_m }, brightness, contrast });
     }
 }

@@ -76,7 +76,8 @@ impl StereoPair {
         let right_image = read_image(right)?.into_luma8();
         let (size, other) = (left_image.dimensions(), right_image.dimensions());
         if size != other {
-            let problem = format!("is {} x {} px, but {} is {} x {} px", other.0, other.1, left.display(), size.0, size.1);
+            let problem =
+                format!("is {} x {} px, but {} is {} x {} px", other.0, other.1, left.display(), size.0, size.1);
             return Err(unusable(right, problem));
         }
         let mut pixels = left_image.into_raw();
@@ -118,11 +119,13 @@ fn middlebury(text: &str, pair: &StereoPair) -> Result<StereoRig, String> {
     let entries: HashMap<&str, &str> =
         text.lines().filter_map(|line| line.split_once('=')).map(|(key, value)| (key.trim(), value.trim())).collect();
     let number = |key: &str| -> Result<f64, String> {
-        let value = entries.get(key).ok_or(format!("has no \"{key}=\" line; expected .ron or Middlebury's calib.txt"))?;
+        let value =
+            entries.get(key).ok_or(format!("has no \"{key}=\" line; expected .ron or Middlebury's calib.txt"))?;
         value.parse().map_err(|_| format!("{key} is \"{value}\", expected a number"))
     };
     let camera = |key: &str| -> Result<[f64; 3], String> {
-        let value = entries.get(key).ok_or(format!("has no \"{key}=\" line; expected .ron or Middlebury's calib.txt"))?;
+        let value =
+            entries.get(key).ok_or(format!("has no \"{key}=\" line; expected .ron or Middlebury's calib.txt"))?;
         let cells: Result<Vec<f64>, _> =
             value.trim_matches(['[', ']']).split([' ', ';']).filter(|cell| !cell.is_empty()).map(str::parse).collect();
         match cells.as_deref() {
@@ -249,7 +252,8 @@ mod tests {
 
     #[test]
     fn reads_middlebury_calibrations() {
-        let text = "cam0=[542.019 0 458.5; 0 542.019 244.9; 0 0 1]\ncam1=[1 0 0; 0 1 0; 0 0 1]\ndoffs=0\nbaseline=59.5549\n";
+        let text =
+            "cam0=[542.019 0 458.5; 0 542.019 244.9; 0 0 1]\ncam1=[1 0 0; 0 1 0; 0 0 1]\ndoffs=0\nbaseline=59.5549\n";
         let rig = middlebury(text, &PAIR).expect("well-formed");
         assert_eq!((rig.focal_px, rig.cx_px, rig.cy_px, rig.width_px), (542.019, 458.5, 244.9, 940));
         assert!((rig.baseline_m - 0.0595549).abs() < 1e-9);

@@ -106,7 +106,8 @@ mod tests {
         let ambiguous = row(64, |_, d| if d % 10 == 5 { 50 } else { 200 });
         assert!(ambiguous.iter().all(Option::is_none));
         // Column 40 claims disparity 9, the right pixel it points to belongs to column 33 at disparity 2.
-        let occluded = row(64, |x, d| if d == (if x == 40 { 9 } else { 2 }) { if x == 40 { 60 } else { 50 } } else { 300 });
+        let occluded =
+            row(64, |x, d| if d == (if x == 40 { 9 } else { 2 }) { if x == 40 { 60 } else { 50 } } else { 300 });
         assert!(occluded[40].is_none() && occluded[41].is_some());
     }
 }

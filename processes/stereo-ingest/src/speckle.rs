@@ -46,8 +46,8 @@ impl Speckles {
                 Some(pixel + width).filter(|&below| below < disparities.len()),
             ];
             for neighbour in neighbours.into_iter().flatten() {
-                let joined = is_valid(disparities[neighbour])
-                    && disparities[neighbour].abs_diff(disparities[pixel]) <= step;
+                let joined =
+                    is_valid(disparities[neighbour]) && disparities[neighbour].abs_diff(disparities[pixel]) <= step;
                 if joined && !self.seen[neighbour] {
                     self.seen[neighbour] = true;
                     self.area.push(neighbour as u32);

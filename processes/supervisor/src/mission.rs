@@ -41,7 +41,11 @@ impl MissionConfig {
         bounds.range("time_limit_s", self.time_limit_s, 1.0..=36_000.0);
         bounds.section("fence", |bounds| self.fence.check(bounds));
         let inside = self.fence.contains(Point::from_array(self.goal_m));
-        bounds.require(inside, "goal_m", format_args!("is {:?}, must lie inside the fence {:?}", self.goal_m, self.fence));
+        bounds.require(
+            inside,
+            "goal_m",
+            format_args!("is {:?}, must lie inside the fence {:?}", self.goal_m, self.fence),
+        );
     }
 
     /// Take-off place, at ground level zero.

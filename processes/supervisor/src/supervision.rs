@@ -293,7 +293,8 @@ impl Supervision {
         let started = host_now();
         let mut killed = false;
         while self.children.iter().any(|child| child.status.pid.is_some()) {
-            if let Ok(Event::Exited { process, incarnation, .. }) = self.events.recv_timeout(Duration::from_millis(50)) {
+            if let Ok(Event::Exited { process, incarnation, .. }) = self.events.recv_timeout(Duration::from_millis(50))
+            {
                 let child = self.children.iter_mut().find(|child| child.command.process == process);
                 if let Some(child) = child.filter(|child| child.incarnation == incarnation) {
                     child.status.pid = None;

@@ -75,11 +75,15 @@ pub(super) fn bell_name(process: ProcessId) -> Result<ServiceName, IpcError> {
 /// The attribute that refuses processes built with other messages.
 pub(super) fn schema<T: Topic>() -> Result<(AttributeKey, AttributeValue), IpcError> {
     let key = AttributeKey::try_from("schema").doing("name the schema attribute")?;
-    let value = AttributeValue::try_from(format!("{:016x}", T::schema_hash()).as_str()).doing("write the schema hash")?;
+    let value =
+        AttributeValue::try_from(format!("{:016x}", T::schema_hash()).as_str()).doing("write the schema hash")?;
     Ok((key, value))
 }
 
 /// What to say when a topic cannot be opened.
 pub(super) fn opening(topic: &TopicInfo) -> String {
-    format!("open topic {} ({}); was this process built from the same source as the supervisor?", topic.name, topic.header_type)
+    format!(
+        "open topic {} ({}); was this process built from the same source as the supervisor?",
+        topic.name, topic.header_type
+    )
 }

@@ -44,7 +44,8 @@ mod tests {
         let mut follower = ClockFollower::default();
         let host = HostTime::from_secs_f64;
         assert_eq!(follower.at(host(9.0)), FlightTime::ZERO);
-        let reading = FlightClock { flight_ns: 2_000_000_000, host_ns: 10_000_000_000, rate: 0.5, ..FlightClock::zeroed() };
+        let reading =
+            FlightClock { flight_ns: 2_000_000_000, host_ns: 10_000_000_000, rate: 0.5, ..FlightClock::zeroed() };
         follower.read(&reading);
         assert!((follower.at(host(11.0)).as_secs_f64() - 2.5).abs() < 1e-6);
         follower.read(&FlightClock { host_ns: 11_000_000_000, ..reading });

@@ -42,7 +42,8 @@ struct Heart {
 pub fn drive<P: Process>(mut process: P, run: &RunDir, rig: &StereoRig, options: DriveOptions) -> Result<(), IpcError> {
     let stop = Arc::new(AtomicBool::new(false));
     for signal in [SIGINT, SIGTERM] {
-        signal_hook::flag::register(signal, Arc::clone(&stop)).map_err(|error| IpcError::new("watch signals")(&error))?;
+        signal_hook::flag::register(signal, Arc::clone(&stop))
+            .map_err(|error| IpcError::new("watch signals")(&error))?;
     }
     let makes_time = process.flight_time(host_now()).is_some();
     let mut ports = IpcPorts::open(run, P::ID, options.incarnation, rig, |ports| {

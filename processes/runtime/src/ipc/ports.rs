@@ -165,8 +165,7 @@ impl IpcPorts {
     fn create_publisher<T: Topic>(&self) -> Result<Outgoing<T>, IpcError> {
         let (key, value) = schema::<T>()?;
         let verifier = AttributeVerifier::new().require(&key, &value).doing("ask for the schema hash")?;
-        let service =
-            topic_builder::<T>(&self.node)?.open_with_attributes(&verifier).doing(opening(&T::INFO))?;
+        let service = topic_builder::<T>(&self.node)?.open_with_attributes(&verifier).doing(opening(&T::INFO))?;
         let publisher = service
             .publisher_builder()
             .initial_max_slice_len(T::max_elements(&self.rig).max(1))
@@ -185,8 +184,7 @@ impl IpcPorts {
     fn create_subscriber<T: Topic>(&self) -> Result<Incoming<T>, IpcError> {
         let (key, value) = schema::<T>()?;
         let verifier = AttributeVerifier::new().require(&key, &value).doing("ask for the schema hash")?;
-        let service =
-            topic_builder::<T>(&self.node)?.open_with_attributes(&verifier).doing(opening(&T::INFO))?;
+        let service = topic_builder::<T>(&self.node)?.open_with_attributes(&verifier).doing(opening(&T::INFO))?;
         let depth = match (self.process, T::INFO.is_image) {
             (ProcessId::Recorder, true) => RECORDER_IMAGE_DEPTH,
             (ProcessId::Recorder, false) => RECORDER_DEPTH,

@@ -1,0 +1,119 @@
+//! Flights of real processes over real shared memory, in real time, with real kills.
+
+mod common;
+
+use common::{Run, real_time};
+use rustix::process::{Pid, Signal, kill_process};
+use sparrowhawk::config::FlightConfig;
+use sparrowhawk::graph::Flight;
+use std::collections::HashSet;
+use std::time::Duration;
+
+fn kill(pid: u32, signal: Signal) {
+    kill_process(Pid::from_raw(pid as i32).expect("a process number"), signal).expect("killed");
+}
+
+/// Waits until the vehicle has flown for `seconds`, by the size of its log: no clock is shared with the flight.
+fn let_it_fly(seconds: u64) {
+    // A kill has to come in the middle of a flight; there is no event to wait for.
+    std::thread::sleep(Duration::from_secs(seconds));
+}
+
+#[test]
+fn ten_forests_end_as_they_do_in_lockstep() {
+    let _alone = real_time();
+    for seed in 1..=10_u64 {
+        let run = Run::new(&format!("ten{seed}"));
+        let flown = run.fly(&["--seed", &seed.to_string(), "--speed", "4"]);
+        let mut config = FlightConfig::load(None, None).expect("loads");
+        (config.seed, config.mission.cruise_speed_mps) = (seed, 4.0);
+        let lockstep = Flight::new(&config, None).fly(|_| true);
+        let expected = serde_json::to_value(lockstep.outcome).expect("serialises");
+        println!("seed {seed}: {} clock {:.3}", flown.outcome(), flown.number("clock_ratio"));
+        assert_eq!(flown.summary["outcome"], expected, "seed {seed}: {}", flown.summary);
+        run.assert_nothing_left();
+    }
+}
+
+#[test]
+fn the_default_flight_arrives_with_eight_processes_and_a_readable_log() {
+    let _alone = real_time();
+    let run = Run::new("default");
+    let flown = run.fly(&[]);
+    assert!(flown.output.status.success(), "{}", String::from_utf8_lossy(&flown.output.stderr));
+    assert_eq!(flown.outcome(), "arrived");
+    assert!(flown.number("distance_to_goal_m") < 1.0 && flown.number("straight_line_m") > 60.0);
+    assert!(flown.number("cruise_speed_mps") >= 4.0, "{}", flown.summary);
+    assert!(flown.number("clock_ratio") >= 0.98, "{}", flown.summary);
+    let processes = flown.summary["processes"].as_array().expect("processes");
+    let pids: HashSet<u64> = processes.iter().filter_map(|process| process["pid"].as_u64()).collect();
+    assert_eq!(pids.len(), 8, "{processes:?}");
+    let bytes = std::fs::read(run.log()).expect("a log");
+    let summary = mcap::Summary::read(&bytes).expect("readable").expect("indexed");
+    let topics: HashSet<&str> = summary.channels.values().map(|channel| channel.topic.as_str()).collect();
+    for topic in ["vehicle_state", "trajectory", "setpoint", "keyframe_set", "world_truth", "health", "goal"] {
+        assert!(topics.contains(topic), "{topics:?}");
+    }
+    assert!(summary.attachment_indexes.iter().any(|attachment| attachment.name == "config.ron"));
+    run.assert_nothing_left();
+}
+
+/// Kills a process in mid-flight and returns how the flight ended.
+fn killed(process: &str) -> common::Flown {
+    let _alone = real_time();
+    let run = Run::new(process);
+    let flight = run.start(&["--seed", "2", "--speed", "4"]);
+    let pid = run.wait_for_process(process);
+    let_it_fly(8);
+    kill(pid, Signal::KILL);
+    let flown = run.flown(flight.wait_with_output().expect("ends"));
+    let processes = flown.summary["processes"].as_array().expect("processes");
+    let entry = processes.iter().find(|entry| entry["name"] == process).expect("listed");
+    println!("{process}: back after {} ms", entry["longest_recovery_ms"]);
+    assert_eq!(entry["restarts"], 1, "{entry}");
+    assert!(entry["longest_recovery_ms"].as_f64().expect("measured") < 200.0, "{entry}");
+    run.assert_nothing_left();
+    flown
+}
+
+#[test]
+fn a_killed_expansion_is_back_at_once_and_the_flight_goes_on() {
+    assert_eq!(killed("expansion").outcome(), "arrived");
+}
+
+#[test]
+fn a_killed_controller_means_braking_then_going_on() {
+    assert_eq!(killed("controller").outcome(), "arrived");
+}
+
+#[test]
+fn an_interrupt_stops_everything_cleanly() {
+    let _alone = real_time();
+    let run = Run::new("interrupt");
+    let flight = run.start(&[]);
+    run.wait_for_process("simulator");
+    let_it_fly(3);
+    kill(flight.id(), Signal::INT);
+    let flown = run.flown(flight.wait_with_output().expect("ends"));
+    assert_eq!(flown.outcome(), "interrupted");
+    assert!(!flown.output.status.success());
+    run.assert_nothing_left();
+}
+
+#[test]
+fn two_graphs_fly_side_by_side_and_a_second_of_the_same_name_is_refused() {
+    let _alone = real_time();
+    let (one, two) = (Run::new("side-a"), Run::new("side-b"));
+    let limit = ["--time-limit", "6"];
+    let (first, second) = (one.start(&limit), two.start(&limit));
+    one.wait_for_process("simulator");
+    let refused = one.command(&["fly", "--run", &one.name]).output().expect("starts");
+    let message = String::from_utf8_lossy(&refused.stderr).into_owned();
+    assert!(!refused.status.success() && message.contains("already running"), "{message}");
+    for (run, flight) in [(&one, first), (&two, second)] {
+        let flown = run.flown(flight.wait_with_output().expect("ends"));
+        assert_eq!(flown.outcome(), "timed_out");
+        assert!(flown.number("path_length_m") > 1.0, "{}", flown.summary);
+        run.assert_nothing_left();
+    }
+}

@@ -1,0 +1,76 @@
+//! Real stereo pairs, which nobody here made, through the multi-process graph.
+
+mod common;
+
+use common::{Run, data, real_time};
+use serde_json::Value;
+
+fn replay(run: &Run, arguments: &[&str]) -> Value {
+    let _alone = real_time();
+    let mut all = vec!["replay", "--run", &run.name, "--summary", "summary.json"];
+    all.extend_from_slice(arguments);
+    let output = run.command(&all).output().expect("starts");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    println!("{}", String::from_utf8_lossy(&output.stdout));
+    run.assert_nothing_left();
+    serde_json::from_str(&std::fs::read_to_string(run.path("summary.json")).expect("a summary")).expect("JSON")
+}
+
+fn assert_digested(summary: &Value) {
+    let number = |key: &str| summary[key].as_f64().unwrap_or_else(|| panic!("{key}: {summary}"));
+    assert!(number("valid_percent") > 40.0, "{summary}");
+    assert!(number("free_percent") > 0.5 && number("occupied_percent") > 0.5, "{summary}");
+    assert_eq!(summary["keyframes"], 1);
+}
+
+#[test]
+fn oak_d_pairs_are_digested() {
+    let Some(data) = data() else { return };
+    let folder = data.join("oakd_indoor_nogt");
+    for scene in ["corridor", "toy"] {
+        let run = Run::new(scene);
+        let image = |side: &str| folder.join(format!("{scene}_{side}.png")).display().to_string();
+        let (left, right) = (image("left"), image("right"));
+        let arguments =
+            [left.as_str(), &right, "--focal", "451.0345", "--baseline", "0.075", "--centre", "299.038,255.165"];
+        assert_digested(&replay(&run, &arguments));
+    }
+}
+
+#[test]
+fn motorcycle_and_kitti_are_digested_and_scored() {
+    let Some(data) = data() else { return };
+    let motorcycle = [
+        "mid2014_motorcycle_perfect_q/motorcycle_left.png",
+        "mid2014_motorcycle_perfect_q/motorcycle_right.png",
+        "mid2014_motorcycle_perfect_q/derived_gt_u16x256.png",
+        "mid2014_motorcycle_perfect_q/derived_nocc.png",
+    ];
+    let calibration =
+        ["--focal", "994.978", "--baseline", "0.193001", "--centre", "311.193,254.877", "--doffs", "31.086"];
+    score(&data, "motorcycle", motorcycle, &calibration);
+    let kitti = [
+        "kitti2012_pair_gt/kittiL.png",
+        "kitti2012_pair_gt/kittiR.png",
+        "kitti2012_pair_gt/derived_gt_u16x256.png",
+        "kitti2012_pair_gt/derived_nocc.png",
+    ];
+    let calibration =
+        ["--focal", "707.0912", "--baseline", "0.53715", "--centre", "601.8873,183.1104", "--max-disparity", "96"];
+    score(&data, "kitti", kitti, &calibration);
+}
+
+fn score(data: &std::path::Path, name: &str, files: [&str; 4], calibration: &[&str]) {
+    let run = Run::new(name);
+    let [left, right, truth, mask] = files.map(|file| data.join(file).display().to_string());
+    let mut arguments = vec![left.as_str(), &right, "--ground-truth", &truth, "--mask", &mask, "--out", "made"];
+    arguments.extend_from_slice(calibration);
+    let summary = replay(&run, &arguments);
+    assert_digested(&summary);
+    let error = &summary["disparity_error"];
+    assert!(error["bad_percent"][1].as_f64().expect("scored") < 6.0, "{error}");
+    assert!(error["density_percent"].as_f64().expect("scored") > 70.0, "{error}");
+    for product in ["disparity", "front", "back"] {
+        assert!(run.path(&format!("made-{product}.png")).is_file(), "{product}");
+    }
+}
