@@ -64,6 +64,8 @@ pub struct Planner {
 const ARRIVED_M: f64 = 0.4;
 /// Distance at which a vehicle that had arrived sets out again, m.
 const LEFT_M: f64 = 1.0;
+/// Speed of closing the last bit of the way, m/s.
+const SETTLE_MPS: f64 = 0.6;
 /// Speed of backing out, m/s.
 const BACK_OUT_MPS: f64 = 1.0;
 /// Longest time that backing out may take, s.
@@ -129,10 +131,12 @@ impl Planner {
         if let Stage::BackingOut { since, to } = self.stuck.stage {
             return Plan { mode: self.back_out(situation, from, view, since, to), ..plan(PlanMode::BackOut) };
         }
-        if !self.arrived {
-            let path = view.free_space().path();
-            self.stuck.note_progress(situation.now, situation.position, to_goal_m, path, &self.config);
+        if self.arrived {
+            self.settle(situation, from, view);
+            return plan(PlanMode::Arrived);
         }
+        let path = view.free_space().path();
+        self.stuck.note_progress(situation.now, situation.position, to_goal_m, path, &self.config);
         if matches!(self.stuck.stage, Stage::BackingOut { .. }) {
             self.brake(from, situation.yaw_rad);
             return plan(PlanMode::Hold);
@@ -143,12 +147,8 @@ impl Planner {
             return Plan { candidates, ..plan(mode) };
         }
         self.stuck.moving();
-        let arrived = self.arrived;
-        self.write_points(situation.yaw_rad, |velocity| {
-            if arrived { situation.yaw_rad } else { travel_heading(velocity, situation) }
-        });
-        let mode = if arrived { PlanMode::Arrived } else { PlanMode::Cruise };
-        Plan { candidates, admissible, ..plan(mode) }
+        self.write_points(situation.yaw_rad, |velocity| travel_heading(velocity, situation));
+        Plan { candidates, admissible, ..plan(PlanMode::Cruise) }
     }
 
     /// Leaves the cheapest admissible candidate in `self.best`; returns how many were tried and admitted.
@@ -159,7 +159,7 @@ impl Planner {
         let (scratch, best) = (&mut self.scratch, &mut self.best);
         let height = self.home.z + config.cruise_height_m;
         let (mut tried, mut admitted, mut cheapest, mut choice) = (0, 0, f64::INFINITY, None);
-        let near_goal = self.arrived || from.position.distance(goal) < LEFT_M;
+        let near_goal = from.position.distance(goal) < LEFT_M;
         library::for_each(config, from.position, goal, situation.cruise_mps, |index, target| {
             tried += 1;
             let is_flying = flying == Some(index);
@@ -240,6 +240,17 @@ impl Planner {
         self.best.fill(from, Target::Place(next, BACK_OUT_MPS), 1.0, &self.config);
         self.write_points(situation.yaw_rad, |_| situation.yaw_rad);
         PlanMode::BackOut
+    }
+
+    /// At the goal: closes what is left of the way if that is free, else stays where it is.
+    fn settle(&mut self, situation: &Situation, from: Sample, view: &View) {
+        let admission = Admission { view, fence: &self.fence, config: &self.config };
+        self.best.fill(from, Target::Place(situation.goal, SETTLE_MPS), self.config.horizon_s, &self.config);
+        if admission.admit(&self.best, self.config.gamma_high).is_none() {
+            return self.brake(from, situation.yaw_rad);
+        }
+        self.flying = None;
+        self.write_points(situation.yaw_rad, |_| situation.yaw_rad);
     }
 
     /// A straight stop along the velocity, which is always allowed.
