@@ -26,6 +26,9 @@ pub struct ChildArguments {
     /// The run's folder, with its configuration.
     #[arg(long)]
     run_dir: PathBuf,
+    /// Process number of the supervisor.
+    #[arg(long)]
+    supervisor: u32,
     /// Which restart this is.
     #[arg(long, default_value_t = 0)]
     incarnation: u32,
@@ -51,7 +54,7 @@ pub fn run(arguments: &ChildArguments) -> Result<(), Box<dyn Error>> {
     let config = FlightConfig::load_snapshot(&path)?;
     let run = RunDir::named(&arguments.run)?;
     let lease = Duration::from_secs_f64(config.graph.lease_s);
-    let options = DriveOptions { incarnation: arguments.incarnation, lease };
+    let options = DriveOptions { incarnation: arguments.incarnation, supervisor: arguments.supervisor, lease };
     let rig = &config.vehicle.rig;
     match arguments.process {
         ProcessId::StereoIngest => drive(graph::stereo_ingest(&config), &run, rig, options)?,

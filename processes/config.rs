@@ -251,6 +251,14 @@ impl FlightConfig {
         impossible(bounds)
     }
 
+    /// Free-space evidence with a swept radius below what the slowest plan commits to: else the vehicle could creep,
+    /// plan by plan, into what it has not seen.
+    pub fn free_space(&self) -> memory::FreeSpaceRule {
+        let rule = self.vehicle.memory.free_space;
+        let least_m = self.vehicle.planner.least_commitment_m(self.mission.cruise_speed_mps);
+        memory::FreeSpaceRule { swept_radius_m: rule.swept_radius_m.min(0.9 * least_m), ..rule }
+    }
+
     /// Range at which the stereo noise is still small against the vehicle: σ_z = z²·σ/(f·b) = radius, m.
     pub fn sensing_range_m(&self) -> f64 {
         let vehicle = &self.vehicle;
@@ -267,17 +275,16 @@ impl FlightConfig {
             "mission.cruise_speed_mps",
             format_args!("is {speed_mps} m/s: stopping takes {stopping_m:.1} m, but stereo is good for {range_m:.1} m"),
         );
-        let (swept_m, least_m) =
-            (vehicle.memory.free_space.swept_radius_m, vehicle.planner.least_commitment_m(speed_mps));
+        let top_m = self.mission.fence.most_m[2];
         bounds.require(
-            swept_m < least_m,
-            "vehicle.memory.free_space.swept_radius_m",
-            format_args!("is {swept_m}, must be below the {least_m:.2} m that the slowest plan commits to, or the vehicle creeps into the unseen"),
+            vehicle.planner.cruise_height_m < top_m,
+            "vehicle.planner.cruise_height_m",
+            format_args!("is {}, must be below the fence's top, {top_m} m", vehicle.planner.cruise_height_m),
         );
         // Level acceleration at the candidates' limit against drag at cruise speed.
         let pull_mps2 = vehicle.planner.acceleration_mps2 + vehicle.simulator.vehicle.drag_hz * speed_mps;
         let tilt_deg = (pull_mps2 / 9.806_65).atan().to_degrees();
-        let margin_deg = vehicle.rig.half_view_down_rad().to_degrees() + vehicle.mount.pitch_up_deg - tilt_deg;
+        let margin_deg = vehicle.rig.half_view_up_rad().to_degrees() + vehicle.mount.pitch_up_deg - tilt_deg;
         bounds.require(
             margin_deg >= 10.0,
             "vehicle.mount.pitch_up_deg",
@@ -313,6 +320,15 @@ impl VehicleConfig {
             "expansion.radius_m",
             format_args!(
                 "is {radius_m}, must be at least the hull's {hull_m} m plus {TRACKING_MARGIN_M} m of tracking error"
+            ),
+        );
+        let (brakes, planned) = (self.controller.braking_mps2, self.planner.braking_mps2);
+        bounds.require(
+            brakes >= planned && self.controller.slew_mps2 >= planned,
+            "controller.braking_mps2",
+            format_args!(
+                "is {brakes}, slew_mps2 {}: both must be at least planner.braking_mps2 = {planned}",
+                self.controller.slew_mps2
             ),
         );
         bounds.require(

@@ -16,7 +16,8 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Duration;
 use supervisor::{
-    ChildCommand, ChildStatus, Happening, LatencySummary, Mission, Outcome, ProcessSummary, Summary, Supervision,
+    ChildCommand, ChildStatus, Happening, LatencySummary, Mission, Outcome, ProcessSummary, SignalWatch, Summary,
+    Supervision,
 };
 
 /// Options of a flight.
@@ -88,23 +89,18 @@ impl FlyArguments {
 /// Flies; the exit code says whether it arrived.
 pub(crate) fn fly(arguments: &FlyArguments) -> Result<ExitCode, Box<dyn Error>> {
     let config = arguments.configuration()?;
+    let signals = SignalWatch::begin()?;
     let name = arguments.run.clone().unwrap_or_else(fresh_name);
     let run = RunDir::named(&name)?;
-    let summary = if arguments.lockstep {
-        let files = RunFiles::create(&arguments.run_dir, &name, &config)?;
-        let summary = fly_in_lockstep(&config, &files)?;
-        files.write_summary(&summary, arguments.summary.as_deref())?;
-        print!("{}", report(&summary, files.folder()));
-        summary
-    } else {
-        let lock = run.take()?;
-        let files = RunFiles::create(&arguments.run_dir, &name, &config)?;
-        let summary = fly_processes(&config, &run, &files)?;
-        drop(lock);
-        files.write_summary(&summary, arguments.summary.as_deref())?;
-        print!("{}", report(&summary, files.folder()));
-        summary
+    let lock = run.take()?;
+    let files = RunFiles::create(&arguments.run_dir, &name, &config, arguments.summary.as_deref())?;
+    let summary = match arguments.lockstep {
+        true => fly_in_lockstep(&config, &files)?,
+        false => fly_processes(&config, &run, &files, signals)?,
     };
+    drop(lock);
+    print!("{}", report(&summary, files.folder()));
+    files.write_summary(&summary)?;
     Ok(if summary.outcome == Outcome::Arrived { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
@@ -143,17 +139,25 @@ pub(crate) fn command(
 ) -> std::io::Result<ChildCommand> {
     let program = std::env::current_exe()?.display().to_string();
     let folder = folder.display().to_string();
-    let arguments = [program.as_str(), "process", process.name(), "--run", run.name(), "--run-dir", &folder];
+    let own = std::process::id().to_string();
+    let arguments =
+        [program.as_str(), "process", process.name(), "--run", run.name(), "--run-dir", &folder, "--supervisor", &own];
     // The simulator is the world: its death ends the run.
     let is_world = matches!(process, ProcessId::Simulator | ProcessId::Player);
     Ok(ChildCommand {
         process,
         arguments: arguments.map(str::to_owned).to_vec(),
         restart: (!is_world).then_some(config.graph.restart),
+        is_essential: process != ProcessId::Recorder,
     })
 }
 
-fn fly_processes(config: &FlightConfig, run: &RunDir, files: &RunFiles) -> Result<Summary, Box<dyn Error>> {
+fn fly_processes(
+    config: &FlightConfig,
+    run: &RunDir,
+    files: &RunFiles,
+    signals: SignalWatch,
+) -> Result<Summary, Box<dyn Error>> {
     let services = Services::create(run)?;
     let mut mission = Mission::new(config.mission);
     let mut ports = IpcPorts::open(run, ProcessId::Supervisor, 0, &config.vehicle.rig, |ports| {
@@ -162,7 +166,7 @@ fn fly_processes(config: &FlightConfig, run: &RunDir, files: &RunFiles) -> Resul
     })?;
     let commands: std::io::Result<Vec<_>> =
         CHILDREN.map(|process| command(config, run, files.folder(), process)).into_iter().collect();
-    let mut supervision = Supervision::start(commands?)?;
+    let mut supervision = Supervision::start(commands?, signals)?;
     let mut display = Display::new(config.mission.goal());
     while mission.outcome().is_none() {
         match supervision.attend(&services, ATTENTION) {
@@ -172,12 +176,14 @@ fn fly_processes(config: &FlightConfig, run: &RunDir, files: &RunFiles) -> Resul
                 mission.end(Outcome::ProcessLost);
             }
             Happening::Died(process, how) => eprintln!("sparrowhawk: {process} {how}: restarting it"),
+            Happening::GivenUp(process, how) => eprintln!("sparrowhawk: {process} {how}: going on without it"),
             Happening::Nothing => {}
         }
         ports.refresh();
         mission.step(&mut ports);
         ports.serve_late_subscribers();
         mission.take_heartbeats().iter().for_each(|health| supervision.heard(health));
+        supervision.kill_silent();
         display.show(&mission, &supervision.status());
     }
     display.clear();

@@ -27,13 +27,14 @@ pub fn expansion(config: &FlightConfig) -> ExpansionProcess {
 
 /// The memory process of a configuration.
 pub fn memory(config: &FlightConfig) -> MemoryProcess {
-    MemoryProcess::new(config.vehicle.rig, config.vehicle.mount, config.vehicle.memory)
+    let memory = memory::Config { free_space: config.free_space(), ..config.vehicle.memory };
+    MemoryProcess::new(config.vehicle.rig, config.vehicle.mount, memory)
 }
 
 /// The planner process of a configuration.
 pub fn planner(config: &FlightConfig) -> PlannerProcess {
     let (vehicle, mission) = (&config.vehicle, &config.mission);
-    let rule = vehicle.memory.free_space;
+    let rule = config.free_space();
     let planner =
         PlannerProcess::new(vehicle.rig, vehicle.noise, rule, vehicle.planner.clone(), mission.fence, mission.start());
     if config.avoidance { planner } else { planner.without_avoidance() }

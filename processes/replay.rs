@@ -14,12 +14,13 @@ use runtime::ipc::{IpcPorts, Services};
 use runtime::run_dir::RunDir;
 use runtime::{Connect, Message, Ports};
 use serde::Serialize;
+use std::collections::BTreeMap;
 use std::error::Error;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
 use stereo_ingest::{DisparityError, GroundTruth, StereoPair, load_calibration, save_disparity};
-use supervisor::{Happening, Supervision};
+use supervisor::{Happening, SignalWatch, Supervision};
 
 /// Options of a replay.
 #[derive(Clone, Debug, Args)]
@@ -108,7 +109,6 @@ struct Products {
     disparity: Option<(i64, Vec<u16>)>,
     expanded: Option<(i64, Vec<u16>)>,
     keyframes: Option<(i64, Vec<Keyframe>)>,
-    exposure_ns: i64,
 }
 
 /// Longest wait for the graph to digest a pair.
@@ -124,18 +124,19 @@ pub(crate) fn replay(arguments: &ReplayArguments) -> Result<ExitCode, Box<dyn Er
     let truth = truth.map(|path| GroundTruth::load(path, arguments.mask.as_deref(), pair.width_px, pair.height_px));
     let truth = truth.transpose()?;
     config.check_vehicle()?;
+    let signals = SignalWatch::begin()?;
     let name = arguments.run.clone().unwrap_or_else(fresh_name);
     let run = RunDir::named(&name)?;
     let lock = run.take()?;
-    let files = RunFiles::create(&arguments.run_dir, &name, &config)?;
-    let (products, view, pids) = digest(arguments, &config, &run, files.folder())?;
+    let files = RunFiles::create(&arguments.run_dir, &name, &config, arguments.summary.as_deref())?;
+    let (products, view, pids) = digest(arguments, &config, &run, files.folder(), signals)?;
     drop(lock);
     let summary = summarise(&config, &products, &view, truth.as_ref(), pids);
-    files.write_summary(&summary, arguments.summary.as_deref())?;
     if let Some(prefix) = &arguments.out {
         write_images(prefix, &arguments.format, &rig, &products)?;
     }
     print(&summary);
+    files.write_summary(&summary)?;
     Ok(ExitCode::SUCCESS)
 }
 
@@ -159,6 +160,7 @@ fn digest(
     config: &FlightConfig,
     run: &RunDir,
     folder: &Path,
+    signals: SignalWatch,
 ) -> Result<(Products, View, Vec<(String, Option<u32>)>), Box<dyn Error>> {
     let services = Services::create(run)?;
     let mut ports = IpcPorts::open(run, ProcessId::Supervisor, 0, &config.vehicle.rig, |ports| {
@@ -178,51 +180,81 @@ fn digest(
         let files = [("--left", &arguments.left), ("--right", &arguments.right)];
         player.arguments.extend(files.iter().flat_map(|(flag, path)| [(*flag).to_owned(), path.display().to_string()]));
     }
-    let mut supervision = Supervision::start(commands)?;
-    let (started, mut products) = (Instant::now(), Products::default());
-    while !products.complete() {
+    let mut supervision = Supervision::start(commands, signals)?;
+    let (started, mut gathered) = (Instant::now(), Gathered::new());
+    let products = loop {
+        if let Some(complete) = gathered.complete() {
+            break complete;
+        }
         match supervision.attend(&services, Duration::from_millis(10)) {
             Happening::Signal(_) => return Err("interrupted".into()),
             Happening::RunEnded(process, how) => return Err(format!("{process} {how}").into()),
             Happening::Died(process, how) => eprintln!("sparrowhawk: {process} {how}: restarting it"),
+            Happening::GivenUp(process, how) => eprintln!("sparrowhawk: {process} {how}: going on without it"),
             Happening::Nothing => {}
         }
-        products.gather(&mut ports);
+        gathered.take(&mut ports);
         while let Some(health) = ports.receive::<HealthReports>() {
             supervision.heard(health.header());
         }
+        supervision.kill_silent();
         if started.elapsed() > PATIENCE {
             return Err(format!("the graph did not digest the pair within {} s", PATIENCE.as_secs()).into());
         }
-    }
+    };
     // The images lie in the run's shared memory, which goes when the graph stops: ask before.
     let view = products.view(config, &mut ports);
     let pids = supervision.stop().iter().map(|child| (child.process.name().to_owned(), child.pid)).collect();
     Ok((products, view, pids))
 }
 
-impl Products {
-    fn complete(&self) -> bool {
-        self.disparity.is_some() && self.expanded.is_some() && self.keyframes.is_some()
+/// Products by exposure: stages are at work on different ones at a time.
+struct Gathered(BTreeMap<i64, Products>);
+
+impl Gathered {
+    fn new() -> Self {
+        Self(BTreeMap::new())
     }
 
-    /// Takes what belongs to one exposure; a newer one starts over.
-    fn gather(&mut self, ports: &mut IpcPorts) {
-        if let Some(frame) = ports.latest::<StereoFrames>() {
+    /// The products of an exposure that has passed all stages.
+    fn complete(&mut self) -> Option<Products> {
+        let is_complete = |p: &Products| p.disparity.is_some() && p.expanded.is_some() && p.keyframes.is_some();
+        let exposure = *self.0.iter().find(|(_, products)| is_complete(products))?.0;
+        self.0.remove(&exposure)
+    }
+
+    fn take(&mut self, ports: &mut IpcPorts) {
+        while let Some(frame) = ports.receive::<StereoFrames>() {
             let stamp = *frame.header().stamp();
-            *self = Self { frame_ns: stamp.published_ns, exposure_ns: stamp.valid_ns, ..Self::default() };
+            self.0.entry(stamp.valid_ns).or_default().frame_ns = stamp.published_ns;
         }
-        let exposure_ns = self.exposure_ns;
-        fn of<T: Topic>(ports: &mut IpcPorts, exposure_ns: i64) -> Option<(i64, Vec<T::Element>)> {
-            let message = ports.latest::<T>()?;
-            let stamp = message.header().stamp();
-            (stamp.valid_ns == exposure_ns).then(|| (stamp.published_ns, message.elements().to_vec()))
+        while let Some((exposure, product)) = next::<Disparity>(ports) {
+            self.0.entry(exposure).or_default().disparity = Some(product);
         }
-        self.disparity = of::<Disparity>(ports, exposure_ns).or(self.disparity.take());
-        self.expanded = of::<Expanded>(ports, exposure_ns).or(self.expanded.take());
-        self.keyframes = of::<Keyframes>(ports, exposure_ns).or(self.keyframes.take());
+        while let Some((exposure, product)) = next::<Expanded>(ports) {
+            self.0.entry(exposure).or_default().expanded = Some(product);
+        }
+        while let Some((exposure, product)) = next::<Keyframes>(ports) {
+            self.0.entry(exposure).or_default().keyframes = Some(product);
+        }
+        // The pair is shown again and again; what is old will not be completed any more.
+        while self.0.len() > MOST_AT_WORK {
+            self.0.pop_first();
+        }
     }
+}
 
+/// Exposures in the pipeline at a time, at most: one in each stage, and spares.
+const MOST_AT_WORK: usize = 64;
+
+/// Exposure, publication and elements of the next message.
+fn next<T: Topic>(ports: &mut IpcPorts) -> Option<(i64, (i64, Vec<T::Element>))> {
+    let message = ports.receive::<T>()?;
+    let stamp = message.header().stamp();
+    Some((stamp.valid_ns, (stamp.published_ns, message.elements().to_vec())))
+}
+
+impl Products {
     /// The map as a planner would see it.
     fn view(&self, config: &FlightConfig, ports: &mut IpcPorts) -> View {
         let vehicle = &config.vehicle;

@@ -33,6 +33,7 @@ fn at(path: &Path) -> impl FnOnce(io::Error) -> FileError {
 #[derive(Debug)]
 pub(crate) struct RunFiles {
     folder: PathBuf,
+    summary_copy: Option<PathBuf>,
 }
 
 /// A name for a run that was not given one: unlike any other on this machine.
@@ -42,15 +43,24 @@ pub(crate) fn fresh_name() -> String {
 }
 
 impl RunFiles {
-    /// Makes `parent/name` and puts the configuration there.
-    pub(crate) fn create(parent: &Path, name: &str, config: &FlightConfig) -> Result<Self, FileError> {
+    /// Makes `parent/name` and puts the configuration there. The summary will be written there too, and to
+    /// `summary_copy`, which must be writable now: not only after the flight.
+    pub(crate) fn create(
+        parent: &Path,
+        name: &str,
+        config: &FlightConfig,
+        summary_copy: Option<&Path>,
+    ) -> Result<Self, FileError> {
+        if let Some(copy) = summary_copy {
+            fs::File::create(copy).map_err(at(copy))?;
+        }
         let folder = parent.join(name);
         fs::create_dir_all(&folder).map_err(at(&folder))?;
         // Children run elsewhere; a relative path would mean another place to them.
         let folder = folder.canonicalize().map_err(at(&folder))?;
         let path = folder.join(CONFIG);
         fs::write(&path, config.snapshot()).map_err(at(&path))?;
-        Ok(Self { folder })
+        Ok(Self { folder, summary_copy: summary_copy.map(Path::to_owned) })
     }
 
     pub(crate) fn folder(&self) -> &Path {
@@ -61,11 +71,11 @@ impl RunFiles {
         self.folder.join(LOG)
     }
 
-    /// Writes the summary here, and to another file if asked.
-    pub(crate) fn write_summary(&self, summary: &impl Serialize, copy: Option<&Path>) -> Result<(), FileError> {
+    /// Writes the summary.
+    pub(crate) fn write_summary(&self, summary: &impl Serialize) -> Result<(), FileError> {
         let own = self.folder.join(SUMMARY);
         write_json(&own, summary)?;
-        copy.map_or(Ok(()), |copy| write_json(copy, summary))
+        self.summary_copy.as_deref().map_or(Ok(()), |copy| write_json(copy, summary))
     }
 }
 

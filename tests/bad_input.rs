@@ -45,7 +45,7 @@ fn configurations_that_cannot_be() {
         ("default.ron", "scout.ron", "absent.ron", vec!["absent.ron", "No such file"]),
         ("vehicles/scout.ron", "sigma_px: 0.4", "sigma_px: -1.0", vec!["scout.ron", "noise.sigma_px", "-1"]),
         ("vehicles/scout.ron", "radius_m: 0.65", "radius_m: 0.3", vec!["scout.ron", "expansion.radius_m", "hull"]),
-        ("vehicles/scout.ron", "swept_radius_m: 0.5", "swept_radius_m: 1.5", vec!["swept_radius_m", "creeps"]),
+        ("vehicles/scout.ron", "braking_mps2: 4.0", "braking_mps2: 0.5", vec!["controller.braking_mps2", "0.5"]),
         ("worlds/forest.ron", "trees_per_m2: 0.05", "trees_per_m2: 7.0", vec!["forest.ron", "trees_per_m2", "7"]),
         ("worlds/forest.ron", "walls: []", "walls: [", vec!["forest.ron:"]),
         ("graphs/droan.ron", "lease_s: 5.0", "lease_s: 5.0, surprise: 1", vec!["droan.ron:", "surprise"]),
@@ -116,9 +116,11 @@ fn images_and_calibrations_that_cannot_be() {
     .expect("writable");
     assert!(refused(&run, &["replay", &small, &right, "--calib", "nan.ron"]).contains("focal_px is NaN"));
     let truth = image("kitti2012_pair_gt/derived_gt_u16x256.png");
-    let arguments = ["replay", &small, &right, "--calib", &playground, "--ground-truth", &truth];
+    let message = refused(&run, &["replay", &small, &right, "--calib", &playground]);
+    assert!(message.contains("941 x 490"), "{message}");
+    let arguments = ["replay", &small, &right, "--focal", "500", "--baseline", "0.1", "--ground-truth", &truth];
     assert!(refused(&run, &arguments).contains("expected 450 x 375"));
     let eight_bit = image("mid2003_cones/disp2.png");
-    let arguments = ["replay", &small, &right, "--calib", &playground, "--ground-truth", &eight_bit];
+    let arguments = ["replay", &small, &right, "--focal", "500", "--baseline", "0.1", "--ground-truth", &eight_bit];
     assert!(refused(&run, &arguments).contains("16-bit"));
 }

@@ -2,9 +2,10 @@
 
 mod common;
 
-use common::on_two_threads;
+use common::{Run, on_two_threads, real_time};
 use sparrowhawk::config::FlightConfig;
 use sparrowhawk::graph::Flight;
+use std::sync::OnceLock;
 use supervisor::{Outcome, Summary};
 
 fn configuration(world: Option<&str>, seed: u64) -> FlightConfig {
@@ -18,16 +19,16 @@ fn fly(config: &FlightConfig) -> Summary {
     Flight::new(config, None).fly(|_| true)
 }
 
-/// 30 forests of 0.05 trees/m² at 4 m/s: no collision, at least 29 arrive. Blind, at least 90 % of them collide.
+/// 30 forests of 0.05 trees/m², flown once for all tests that look at them.
+fn campaign() -> &'static [Summary] {
+    static FLIGHTS: OnceLock<Vec<Summary>> = OnceLock::new();
+    FLIGHTS.get_or_init(|| on_two_threads(1..=30, |seed| fly(&configuration(None, seed))))
+}
+
 #[test]
-fn thirty_forests() {
-    let flights = on_two_threads(1..=30, |seed| fly(&configuration(None, seed)));
-    let blind = on_two_threads(1..=30, |seed| {
-        let mut config = configuration(None, seed);
-        config.avoidance = false;
-        fly(&config).outcome
-    });
-    for (index, flight) in flights.iter().enumerate() {
+fn thirty_forests_without_a_collision() {
+    let _alone = real_time();
+    for (index, flight) in campaign().iter().enumerate() {
         println!(
             "seed {:2}: {:?} in {:.1} s, {:.1} m, clearance {:?} m",
             index + 1,
@@ -37,15 +38,43 @@ fn thirty_forests() {
             flight.min_clearance_m
         );
     }
-    let count = |outcome| flights.iter().filter(|flight| flight.outcome == outcome).count();
+    let count = |outcome| campaign().iter().filter(|flight| flight.outcome == outcome).count();
     assert_eq!(count(Outcome::Collided), 0);
     assert!(count(Outcome::Arrived) >= 29, "{} arrived", count(Outcome::Arrived));
-    let blind_collisions = blind.iter().filter(|outcome| **outcome == Outcome::Collided).count();
-    assert!(blind_collisions >= 27, "{blind_collisions} of 30 collide without avoidance: the worlds are too empty");
+}
+
+#[test]
+fn without_avoidance_nine_of_ten_of_them_end_in_a_collision() {
+    let _alone = real_time();
+    let blind = on_two_threads(1..=30, |seed| {
+        let mut config = configuration(None, seed);
+        config.avoidance = false;
+        fly(&config).outcome
+    });
+    let collisions = blind.iter().filter(|outcome| **outcome == Outcome::Collided).count();
+    assert!(collisions >= 27, "{collisions} of 30 collide without avoidance: the worlds are too empty");
+}
+
+/// The ipc driver, two graphs at a time, against the lockstep driver.
+#[test]
+fn ten_forests_end_alike_as_processes_and_in_lockstep() {
+    let _alone = real_time();
+    let flown = on_two_threads(1..=10, |seed| {
+        let run = Run::new(&format!("ten{seed}"));
+        let flown = run.fly(&["--seed", &seed.to_string(), "--speed", "4"]);
+        run.assert_nothing_left();
+        flown.summary
+    });
+    for (index, (processes, lockstep)) in flown.iter().zip(campaign()).enumerate() {
+        println!("seed {}: {} with clock {}", index + 1, processes["outcome"], processes["clock_ratio"]);
+        let expected = serde_json::to_value(lockstep.outcome).expect("serialises");
+        assert_eq!(processes["outcome"], expected, "seed {}: {processes}", index + 1);
+    }
 }
 
 #[test]
 fn the_same_seed_repeats_to_the_bit_and_another_differs() {
+    let _alone = real_time();
     let brief = |seed| {
         let mut config = configuration(None, seed);
         config.mission.time_limit_s = 8.0;
@@ -58,6 +87,7 @@ fn the_same_seed_repeats_to_the_bit_and_another_differs() {
 
 #[test]
 fn an_open_field_under_a_clear_sky_is_crossed() {
+    let _alone = real_time();
     let flight = fly(&configuration(Some("field"), 1));
     assert_eq!(flight.outcome, Outcome::Arrived, "{flight:?}");
     assert!(flight.max_speed_mps > 3.0, "{flight:?}");
@@ -65,6 +95,7 @@ fn an_open_field_under_a_clear_sky_is_crossed() {
 
 #[test]
 fn a_blank_wall_across_the_way_stops_the_vehicle() {
+    let _alone = real_time();
     let mut config = configuration(Some("wall"), 1);
     config.mission.time_limit_s = 40.0;
     let flight = fly(&config);

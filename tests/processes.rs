@@ -4,8 +4,6 @@ mod common;
 
 use common::{Run, real_time};
 use rustix::process::{Pid, Signal, kill_process};
-use sparrowhawk::config::FlightConfig;
-use sparrowhawk::graph::Flight;
 use std::collections::HashSet;
 use std::time::Duration;
 
@@ -17,22 +15,6 @@ fn kill(pid: u32, signal: Signal) {
 fn let_it_fly(seconds: u64) {
     // A kill has to come in the middle of a flight; there is no event to wait for.
     std::thread::sleep(Duration::from_secs(seconds));
-}
-
-#[test]
-fn ten_forests_end_as_they_do_in_lockstep() {
-    let _alone = real_time();
-    for seed in 1..=10_u64 {
-        let run = Run::new(&format!("ten{seed}"));
-        let flown = run.fly(&["--seed", &seed.to_string(), "--speed", "4"]);
-        let mut config = FlightConfig::load(None, None).expect("loads");
-        (config.seed, config.mission.cruise_speed_mps) = (seed, 4.0);
-        let lockstep = Flight::new(&config, None).fly(|_| true);
-        let expected = serde_json::to_value(lockstep.outcome).expect("serialises");
-        println!("seed {seed}: {} clock {:.3}", flown.outcome(), flown.number("clock_ratio"));
-        assert_eq!(flown.summary["outcome"], expected, "seed {seed}: {}", flown.summary);
-        run.assert_nothing_left();
-    }
 }
 
 #[test]

@@ -79,9 +79,9 @@ impl StereoRig {
         Point::new((u_px - self.cx_px) / self.focal_px * z, (v_px - self.cy_px) / self.focal_px * z, z)
     }
 
-    /// Half of the vertical field of view below the optical axis, rad.
-    pub fn half_view_down_rad(&self) -> f64 {
-        ((f64::from(self.height_px) - 1.0 - self.cy_px) / self.focal_px).atan()
+    /// Part of the vertical field of view above the optical axis, rad.
+    pub fn half_view_up_rad(&self) -> f64 {
+        (self.cy_px / self.focal_px).atan()
     }
 }
 

@@ -132,7 +132,7 @@ topics! {
             reads(Controller), reads(Recorder), reads(Supervisor)];
     /// Truth, for reports alone.
     Truth: "world_truth", WorldTruth, [u8; NONE], 100.0 Hz, history 1, depth 64, image false,
-        from [Simulator], to [reads(Recorder), wakes(Supervisor)];
+        from [Simulator], to [reads(Recorder), reads(Supervisor)];
     /// State estimate.
     State: "vehicle_state", VehicleState, [u8; NONE], 100.0 Hz, history 1, depth 16, image false,
         from [Simulator, Player], to [wakes(Memory), reads(Planner), wakes(Controller), reads(Recorder), reads(Supervisor)];
@@ -147,7 +147,7 @@ topics! {
         from [Expansion], to [wakes(Memory), reads(Recorder), reads(Supervisor)];
     /// The disparity graph.
     Keyframes: "keyframe_set", KeyframeSet, [Keyframe; |_| 64], 12.5 Hz, history 1, depth 1, image false,
-        from [Memory], to [wakes(Planner), reads(Recorder), wakes(Supervisor)];
+        from [Memory], to [wakes(Planner), reads(Recorder), reads(Supervisor)];
     /// The path flown.
     Path: "flown_path", FlownPath, [PathPoint; |_| 512], 12.5 Hz, history 1, depth 1, image false,
         from [Memory], to [reads(Planner), reads(Recorder)];

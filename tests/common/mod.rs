@@ -1,6 +1,5 @@
 //! What the whole-graph tests share: the executable, temporary run directories, summaries.
-
-#![allow(dead_code)] // Each test binary uses its own part of this.
+#![allow(dead_code, unreachable_pub)] // Each test binary uses its own part of this.
 
 use serde_json::Value;
 use std::path::{Path, PathBuf};
@@ -78,7 +77,8 @@ impl Run {
     pub fn assert_nothing_left(&self) {
         for entry in walk(Path::new("/dev/shm")) {
             let text = entry.to_string_lossy();
-            assert!(!text.contains(&self.name), "left behind: {text}");
+            let prefix = runtime::run_dir::RunDir::named(&self.name).expect("a good name").prefix();
+            assert!(!text.contains(&self.name) && !text.contains(&prefix), "left behind: {text}");
         }
         assert_eq!(self.processes(), Vec::<u32>::new(), "processes left behind");
     }

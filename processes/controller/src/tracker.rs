@@ -52,7 +52,8 @@ impl Tracker {
     /// The command at `now`. `state` and `reference` are the newest received, fresh or not.
     pub fn step(&mut self, now: FlightTime, state: Option<&VehicleState>, reference: Option<&Reference>) -> Command {
         let config = self.config;
-        let fresh = |valid: FlightTime, deadline_s: f64| now.seconds_since(valid) <= deadline_s;
+        // What claims to come from the future is as untrustworthy as what is late.
+        let fresh = |valid: FlightTime, deadline_s: f64| (-0.1..=deadline_s).contains(&now.seconds_since(valid));
         let state = state.filter(|state| {
             fresh(FlightTime::from_nanos(state.stamp.valid_ns), config.state_deadline_s)
                 && state.world_from_body().is_some()

@@ -116,11 +116,11 @@ impl Expander {
         let (width, height) = (self.rig.width_px as usize, self.rig.height_px as usize);
         let longest = self.config.hole_px as usize;
         self.filled.copy_from_slice(disparity);
-        self.filled.chunks_exact_mut(width).for_each(|row| fill_holes(row, longest));
+        self.filled.chunks_exact_mut(width).for_each(|row| fill_holes(row, longest, true));
         transpose(&self.filled, width, &mut self.transposed);
         let columns = self.transposed.chunks_exact_mut(height).zip(self.filled.chunks_exact_mut(height));
         for (column, keys) in columns {
-            fill_holes(column, longest);
+            fill_holes(column, longest, false);
             column_keys(column, &self.tables, &self.rig, &self.config.background, keys);
         }
         transpose(&self.filled, height, &mut self.keys);

@@ -40,7 +40,8 @@ pub struct Config {
     pub body_radius_m: f32,
     /// Half of the body's height, tilt included, m: what must lie between a free point and the image's top and bottom.
     pub body_half_height_m: f32,
-    /// Longest run of unmatched pixels, along a row or a column, that takes the nearer of its two ends, px.
+    /// Longest run of unmatched pixels, along a row or a column, that takes the nearer of its two ends, px. Along a row
+    /// the shadow of a near surface is filled in addition.
     pub hole_px: u32,
     /// What clear sky is worth.
     pub background: BackgroundRule,

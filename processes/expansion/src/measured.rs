@@ -34,8 +34,10 @@ impl BackgroundRule {
 /// Pixels below a column of sky whose nearest return decides the grant.
 const RETURNS_BELOW: usize = 4;
 
-/// Fills runs of at most `longest` codes between two disparities with the nearer of the two.
-pub(crate) fn fill_holes(line: &mut [u16], longest: usize) {
+/// Fills runs of codes between two disparities with the nearer of the two, where the run is explained: by at most
+/// `longest` stray pixels, or, along a row, by the shadow that the nearer surface casts on the farther one in the
+/// right image, which is as wide as their disparities differ. What is not explained stays unknown.
+pub(crate) fn fill_holes(line: &mut [u16], longest: usize, casts_shadows: bool) {
     let mut run = 0;
     let mut before = NO_MATCH;
     for index in 0..line.len() {
@@ -44,7 +46,8 @@ pub(crate) fn fill_holes(line: &mut [u16], longest: usize) {
             run += 1;
             continue;
         }
-        if run > 0 && run <= longest && is_valid(before) {
+        let shadow = if casts_shadows { usize::from(before.abs_diff(pixel)) / SCALE as usize } else { 0 };
+        if run > 0 && run <= longest + shadow && is_valid(before) {
             line[index - run..index].fill(before.max(pixel));
         }
         (run, before) = (0, pixel);
@@ -120,9 +123,15 @@ mod tests {
 
     #[test]
     fn short_holes_take_the_nearer_end_and_long_ones_stay() {
-        let mut line = [100, 0, 1, 300, 0, 0, 0, 200, 0];
-        fill_holes(&mut line, 2);
-        assert_eq!(line, [100, 300, 300, 300, 0, 0, 0, 200, 0]);
+        let holed = [100, 0, 1, 300, 0, 0, 0, 0, 0, 0, 50, 0];
+        let mut line = holed;
+        fill_holes(&mut line, 2, false);
+        assert_eq!(line, [100, 300, 300, 300, 0, 0, 0, 0, 0, 0, 50, 0]);
+        // 300 and 50 are 3 px apart: a shadow of 3 px and 2 stray pixels explain 5, not 6.
+        fill_holes(&mut line, 2, true);
+        assert_eq!(line[4..10], [0; 6]);
+        fill_holes(&mut line, 3, true);
+        assert_eq!(line[4..10], [300; 6]);
     }
 
     #[test]

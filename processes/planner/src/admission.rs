@@ -26,7 +26,9 @@ impl Admission<'_> {
     pub(crate) fn admit(&self, rollout: &Rollout, threshold: f32) -> Option<Admitted> {
         let committed = (self.config.commit_s / STEP_S).ceil() as usize;
         let committed = committed.min(rollout.samples.len() - 1);
-        if !self.stops_in_free_space(rollout.samples[committed], threshold) {
+        // At every step until the next plan, not only at the last: braking leaves a curve along its tangent.
+        let committed_samples = rollout.samples[..=committed].iter().rev();
+        if !committed_samples.clone().all(|&sample| self.stops_in_free_space(sample, threshold)) {
             return None;
         }
         let mut unknown_m = 0.0;

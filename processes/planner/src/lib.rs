@@ -46,6 +46,10 @@ pub struct Config {
     pub commit_s: f64,
     /// Time until a plan takes effect, s.
     pub lead_s: f64,
+    /// A state older than this is stale: brake, s.
+    pub state_deadline_s: f64,
+    /// A map whose newest image is older than this is stale: brake, s.
+    pub image_deadline_s: f64,
     /// Spacing of occupancy checks, m.
     pub sample_m: f64,
     /// Acceleration of the candidates, m/s².
@@ -107,6 +111,8 @@ impl Config {
         bounds.range("tail_m", self.tail_m, 0.0..=50.0);
         bounds.range("commit_s", self.commit_s, 0.05..=2.0);
         bounds.range("lead_s", self.lead_s, 0.0..=0.5);
+        bounds.range("state_deadline_s", self.state_deadline_s, 0.02..=1.0);
+        bounds.range("image_deadline_s", self.image_deadline_s, 0.05..=3.0);
         bounds.range("sample_m", self.sample_m, 0.02..=1.0);
         bounds.range("acceleration_mps2", self.acceleration_mps2, 0.2..=20.0);
         bounds.range("braking_mps2", self.braking_mps2, 0.2..=20.0);

@@ -28,6 +28,16 @@ pub struct Situation {
     pub goal: Point<World>,
     /// Highest speed on the way, m/s.
     pub cruise_mps: f64,
+    /// Exposure of the newest image in the map.
+    pub image_valid: FlightTime,
+}
+
+impl Situation {
+    /// Whether state or map are too old to plan from, or from a time that is yet to come.
+    fn is_stale(&self, config: &Config) -> bool {
+        let is_fresh = |valid, deadline_s| (-0.1..=deadline_s).contains(&self.now.seconds_since(valid));
+        !is_fresh(self.state_valid, config.state_deadline_s) || !is_fresh(self.image_valid, config.image_deadline_s)
+    }
 }
 
 /// A plan, apart from its points ([`Planner::points`]).
@@ -64,6 +74,8 @@ pub struct Planner {
 const ARRIVED_M: f64 = 0.4;
 /// Distance at which a vehicle that had arrived sets out again, m.
 const LEFT_M: f64 = 1.0;
+/// Farther than this from the take-off place the vehicle is not taking off, m.
+const AWAY_M: f64 = 1.0;
 /// Speed of closing the last bit of the way, m/s.
 const SETTLE_MPS: f64 = 0.6;
 /// Speed of backing out, m/s.
@@ -115,7 +127,9 @@ impl Planner {
         let from = Sample { position: situation.position + situation.velocity * ahead_s, velocity: situation.velocity };
         let plan = |mode| Plan { start, mode, candidates: 0, admissible: 0 };
         let top = Point::new(self.home.x, self.home.y, self.home.z + self.config.cruise_height_m);
-        self.airborne |= situation.position.z >= top.z - 0.3;
+        // Also when this process was restarted in mid-flight.
+        let away_m = (situation.position - self.home).horizontal_norm();
+        self.airborne |= situation.position.z >= top.z - 0.3 || away_m > AWAY_M;
         if !self.airborne {
             let climb = Target::Place(top, self.config.take_off_mps);
             self.best.fill(from, climb, 3.0, &self.config);
@@ -128,8 +142,12 @@ impl Planner {
             self.brake(from, situation.yaw_rad);
             return plan(PlanMode::GivenUp);
         }
-        if let Stage::BackingOut { since, to } = self.stuck.stage {
-            return Plan { mode: self.back_out(situation, from, view, since, to), ..plan(PlanMode::BackOut) };
+        if situation.is_stale(&self.config) {
+            self.brake(from, situation.yaw_rad);
+            return plan(PlanMode::Hold);
+        }
+        if let Stage::BackingOut { since } = self.stuck.stage {
+            return Plan { mode: self.back_out(situation, from, since), ..plan(PlanMode::BackOut) };
         }
         if self.arrived {
             self.settle(situation, from, view);
@@ -224,18 +242,18 @@ impl Planner {
     }
 
     /// Flies back along the path flown, whose swept volume is free.
-    fn back_out(&mut self, situation: &Situation, from: Sample, view: &View, since: FlightTime, to: usize) -> PlanMode {
-        let path = view.free_space().path();
+    fn back_out(&mut self, situation: &Situation, from: Sample, since: FlightTime) -> PlanMode {
         let late = situation.now.seconds_since(since) > BACK_OUT_S;
-        let Some(&end) = path.get(to).filter(|end| end.distance(situation.position) > 0.4 && !late) else {
+        let next = self.stuck.way_back(situation.position).filter(|_| !late);
+        let Some(next) = next else {
             self.stuck.backed_out(situation.now);
             self.brake(from, situation.yaw_rad);
             return PlanMode::Hold;
         };
-        // The next place on the way: never cut a corner that was not flown.
-        let here = (to..path.len())
-            .min_by(|&a, &b| path[a].distance(situation.position).total_cmp(&path[b].distance(situation.position)));
-        let next = here.map_or(end, |here| path[here.saturating_sub(2).max(to)]);
+        if situation.velocity.norm() > 1.5 * BACK_OUT_MPS {
+            self.brake(from, situation.yaw_rad);
+            return PlanMode::Hold;
+        }
         self.flying = None;
         self.best.fill(from, Target::Place(next, BACK_OUT_MPS), 1.0, &self.config);
         self.write_points(situation.yaw_rad, |_| situation.yaw_rad);
@@ -307,6 +325,8 @@ pub(crate) mod tests {
             tail_m: 8.0,
             commit_s: 0.5,
             lead_s: 0.06,
+            state_deadline_s: 0.2,
+            image_deadline_s: 0.5,
             sample_m: 0.15,
             acceleration_mps2: 3.5,
             braking_mps2: 3.5,
@@ -348,7 +368,7 @@ pub(crate) mod tests {
     fn situation(now: f64, position: Point<World>, velocity: Vector<World>) -> Situation {
         let now = FlightTime::from_secs_f64(now);
         let goal = Point::new(60.0, 0.0, 2.0);
-        Situation { now, state_valid: now, position, velocity, yaw_rad: 0.0, goal, cruise_mps: 4.0 }
+        Situation { now, state_valid: now, image_valid: now, position, velocity, yaw_rad: 0.0, goal, cruise_mps: 4.0 }
     }
 
     /// Follows the planner's own plans, ten a second.

@@ -81,7 +81,7 @@ impl PlannerProcess {
         }
     }
 
-    fn situation(&self, now: FlightTime) -> Option<Situation> {
+    fn situation(&self, now: FlightTime, image_valid: FlightTime) -> Option<Situation> {
         let (state, goal) = (self.state.as_ref()?, self.goal.as_ref()?);
         let pose = state.world_from_body()?;
         Some(Situation {
@@ -92,6 +92,7 @@ impl PlannerProcess {
             yaw_rad: pose.rotation.roll_pitch_yaw().2,
             goal: Point::from_array(goal.position_m),
             cruise_mps: goal.cruise_speed_mps,
+            image_valid,
         })
     }
 }
@@ -126,7 +127,7 @@ impl Process for PlannerProcess {
         if self.avoidance {
             self.look(ports, set.elements());
         }
-        let Some(situation) = self.situation(ports.now()) else {
+        let Some(situation) = self.situation(ports.now(), FlightTime::from_nanos(set.header().stamp.valid_ns)) else {
             return self.report.degraded(if self.goal.is_none() {
                 "waiting for a goal"
             } else {

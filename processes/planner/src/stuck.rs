@@ -33,8 +33,6 @@ pub(crate) enum Stage {
     BackingOut {
         /// Since when.
         since: FlightTime,
-        /// Index into the path.
-        to: usize,
     },
     /// Hovering for good.
     GivenUp,
@@ -49,6 +47,8 @@ pub(crate) struct Stuck {
     progressed: FlightTime,
     /// Where the vehicle was when it last left the neighbourhood, and when.
     anchor: Option<(FlightTime, Point<World>)>,
+    /// The way back out: places of the path flown, the next one last.
+    way_back: Vec<Point<World>>,
 }
 
 impl Stuck {
@@ -59,6 +59,7 @@ impl Stuck {
             nearest_m: f64::INFINITY,
             progressed: FlightTime::ZERO,
             anchor: None,
+            way_back: Vec::new(),
         }
     }
 
@@ -121,10 +122,22 @@ impl Stuck {
         if self.stage != Stage::GivenUp {
             let distance_m = config.back_out_m * (1.0 + 0.5 * (self.places.len() - 1) as f64);
             self.stage = match back_along(path, at, distance_m) {
-                Some(to) => Stage::BackingOut { since: now, to },
+                // A copy: the path flown grows while backing out, by the very places passed.
+                Some(to) => {
+                    self.way_back = path[to..].to_vec();
+                    Stage::BackingOut { since: now }
+                }
                 None => Stage::LookingAround { since: now },
             };
         }
+    }
+
+    /// The next place on the way back; `None` once its end is reached. Every place is passed: no corner is cut.
+    pub(crate) fn way_back(&mut self, at: Point<World>) -> Option<Point<World>> {
+        while self.way_back.last().is_some_and(|next| next.distance(at) < 0.4) {
+            self.way_back.pop();
+        }
+        self.way_back.last().copied()
     }
 
     /// The place to back out to was reached, or was not within a reasonable time.
@@ -175,8 +188,10 @@ mod tests {
         let at = path[79];
         for tick in 0..3000 {
             let now = FlightTime::from_secs_f64(f64::from(tick) * 0.1);
-            if let Stage::BackingOut { to, .. } = stuck.stage {
-                assert!(path[to].distance(at) > config.back_out_m - 0.3);
+            if let Stage::BackingOut { .. } = stuck.stage {
+                let end = stuck.way_back.first().expect("a way back");
+                assert!(end.distance(at) > config.back_out_m - 0.3);
+                assert!(stuck.way_back(at).is_some_and(|next| next.distance(at) < 1.0), "it begins here");
                 stuck.backed_out(now);
             } else {
                 stuck.no_plan(now, at, &path, &config);

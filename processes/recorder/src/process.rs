@@ -97,8 +97,8 @@ impl RecorderProcess {
         Ok(())
     }
 
-    /// Writes the index and ends the file. Called by `drop` too.
-    fn finish(&mut self) {
+    /// Writes the index and ends the file.
+    fn end_log(&mut self) {
         let lost = self.lost.iter().map(|(topic, count)| (format!("lost {topic}"), count.to_string()));
         // The log is readable without its end; there is nobody left to tell.
         let _ = self.log.finish(lost.collect());
@@ -107,7 +107,7 @@ impl RecorderProcess {
 
 impl Drop for RecorderProcess {
     fn drop(&mut self) {
-        self.finish();
+        self.end_log();
     }
 }
 
@@ -134,6 +134,13 @@ impl Process for RecorderProcess {
             Ok(()) => self.report.worked(),
             // Full disk, or a file that went away: the flight goes on without its log, and says so.
             Err(_) => self.report.refuse("cannot write the log"),
+        }
+    }
+
+    fn finish<P: Ports>(&mut self, ports: &mut P) {
+        // What was published while the others were stopping.
+        if self.drain_all(ports).is_err() {
+            self.report.refuse("cannot write the log");
         }
     }
 

@@ -76,6 +76,9 @@ pub trait Process {
         None
     }
 
+    /// Called once, after the last step, when the process was told to stop.
+    fn finish<P: Ports>(&mut self, _ports: &mut P) {}
+
     /// Host-time housekeeping of what is not pure, such as flushing a file. Never called in lockstep.
     fn housekeep(&mut self) {}
 }

@@ -2,6 +2,7 @@
 //!
 //! ```text
 //! /dev/shm/sparrowhawk-<uid>/<run>/lock     held by the supervisor for as long as it lives
+//!                                 /alive    held, shared, by every process of the run
 //!                                 /iox/     iceoryx2's root: node and service files, event sockets
 //!                                 /images/  keyframes
 //! /dev/shm/<prefix>…                        iceoryx2's shared-memory segments of this run
@@ -71,6 +72,12 @@ pub struct RunLock {
     _lock: File,
 }
 
+/// A process' hold on its run: while anyone holds on, nobody takes the run anew.
+#[derive(Debug)]
+pub struct RunMember {
+    _alive: File,
+}
+
 impl RunDir {
     /// Names a run without touching anything.
     ///
@@ -104,40 +111,72 @@ impl RunDir {
 
     /// What the names of this run's shared-memory segments begin with. Ends in a delimiter, so that no run's
     /// prefix begins another's.
-    pub(crate) fn prefix(&self) -> String {
+    pub fn prefix(&self) -> String {
         format!("s{:08x}_", xxh3_64(self.path.as_os_str().as_encoded_bytes()) as u32)
     }
 
-    /// Takes the run: locks it, clears what a dead predecessor left, and makes its folders.
+    /// Takes the run: locks it, clears what a dead predecessor left, here and in other dead runs, and makes its folders.
     ///
     /// # Errors
     /// The run is in use, shared memory is not writable, or too little of it is free.
     pub fn take(&self) -> Result<RunLock, RunError> {
-        let inaccessible = |path: &Path| {
-            let path = path.display().to_string();
-            move |source: io::Error| RunError::Inaccessible { path, source }
-        };
         fs::create_dir_all(&self.path).map_err(inaccessible(&self.path))?;
-        let lock_path = self.path.join("lock");
-        let lock = OpenOptions::new()
-            .create(true)
-            .truncate(false)
-            .write(true)
-            .open(&lock_path)
-            .map_err(inaccessible(&lock_path))?;
-        flock(&lock, FlockOperation::NonBlockingLockExclusive)
-            .map_err(|_| RunError::AlreadyRunning { name: self.name.clone(), lock: lock_path.display().to_string() })?;
-        let statistics = rustix::fs::statvfs(SHARED_MEMORY)
-            .map_err(|errno| RunError::Inaccessible { path: SHARED_MEMORY.to_owned(), source: errno.into() })?;
+        let lock = self.lock_dead()?.ok_or_else(|| RunError::AlreadyRunning {
+            name: self.name.clone(),
+            lock: self.path.join("lock").display().to_string(),
+        })?;
+        // From here on, whatever fails leaves nothing behind.
+        let lock = RunLock { run: self.clone(), _lock: lock };
+        self.sweep();
+        self.sweep_dead_siblings();
+        let statistics =
+            rustix::fs::statvfs(SHARED_MEMORY).map_err(|errno| inaccessible(Path::new(SHARED_MEMORY))(errno.into()))?;
         let free = statistics.f_bavail * statistics.f_frsize;
         if free < NEEDED_BYTES {
             return Err(RunError::NoSpace { free_mib: free >> 20 });
         }
-        self.sweep();
         for folder in [self.iceoryx_root(), self.images()] {
             fs::create_dir_all(&folder).map_err(inaccessible(&folder))?;
         }
-        Ok(RunLock { run: self.clone(), _lock: lock })
+        Ok(lock)
+    }
+
+    /// Holds on to a run as one of its processes.
+    ///
+    /// # Errors
+    /// The run does not exist.
+    pub fn join(&self) -> Result<RunMember, RunError> {
+        let path = self.path.join("alive");
+        let alive = File::open(&path).map_err(inaccessible(&path))?;
+        flock(&alive, FlockOperation::LockShared).map_err(|errno| inaccessible(&path)(errno.into()))?;
+        Ok(RunMember { _alive: alive })
+    }
+
+    /// The lock of a run that no supervisor and no other process holds, else `None`.
+    fn lock_dead(&self) -> Result<Option<File>, RunError> {
+        let open = |name: &str| {
+            let path = self.path.join(name);
+            let file = OpenOptions::new().create(true).truncate(false).write(true).open(&path);
+            file.map_err(inaccessible(&path))
+        };
+        let (lock, alive) = (open("lock")?, open("alive")?);
+        let is_free = |file: &File| flock(file, FlockOperation::NonBlockingLockExclusive).is_ok();
+        // The second lock is let go at once: it only tells whether anyone lives.
+        Ok((is_free(&lock) && is_free(&alive)).then_some(lock))
+    }
+
+    /// Clears runs of this user whose supervisors were killed and whose processes have ended since.
+    fn sweep_dead_siblings(&self) {
+        let siblings = self.path.parent().map(fs::read_dir).and_then(Result::ok);
+        for entry in siblings.into_iter().flatten().flatten() {
+            let name = entry.file_name().to_string_lossy().into_owned();
+            let sibling = Self::named(&name).ok().filter(|sibling| sibling.path != self.path);
+            if let Some(sibling) = sibling
+                && let Ok(Some(lock)) = sibling.lock_dead()
+            {
+                drop(RunLock { run: sibling, _lock: lock });
+            }
+        }
     }
 
     /// Removes everything of this run but the lock.
@@ -152,6 +191,11 @@ impl RunDir {
             }
         }
     }
+}
+
+fn inaccessible(path: &Path) -> impl FnOnce(io::Error) -> RunError {
+    let path = path.display().to_string();
+    move |source| RunError::Inaccessible { path, source }
 }
 
 impl Drop for RunLock {
@@ -179,8 +223,10 @@ mod tests {
         assert!(matches!(run.take(), Err(RunError::AlreadyRunning { .. })));
         let leftover = Path::new(SHARED_MEMORY).join(format!("{}leftover", run.prefix()));
         fs::write(&leftover, b"x").expect("writable");
+        let member = run.join().expect("alive");
         drop(lock);
         assert!(!run.path.exists() && !leftover.exists());
+        drop(member);
         drop(run.take().expect("free again"));
     }
 }

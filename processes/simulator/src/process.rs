@@ -9,7 +9,7 @@ use ipc_types::bounds::Bounds;
 use ipc_types::rig::CameraMount;
 use ipc_types::topics::{Clock, Setpoints, State, StereoFrames, Truth};
 use ipc_types::{Camera, FlightTime, HostTime, Point, Pose, ProcessId, StereoRig, Vector, World as WorldFrame};
-use runtime::{Connect, Message, Ports, Process, Report, host_now};
+use runtime::{Connect, Message, Ports, Process, Report};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
@@ -95,6 +95,8 @@ pub struct SimulatorProcess {
     clearance: Clearance,
     collided: bool,
     clock: PacedClock,
+    /// Host time of this step; zero in lockstep, whose log would not repeat otherwise.
+    host: HostTime,
     report: Report,
 }
 
@@ -169,6 +171,7 @@ impl SimulatorProcess {
             clearance: Clearance { obstacles_m: 0.0, ground_m: 0.0 },
             collided: false,
             clock: PacedClock { started: None, lost: Duration::ZERO },
+            host: HostTime::ZERO,
             report: Report::waiting("starting"),
             setup,
         }
@@ -195,7 +198,7 @@ impl SimulatorProcess {
         let (now, pose) = (self.stepped, self.vehicle.world_from_body());
         self.estimator.measure(now, pose, self.vehicle.velocity());
         let ratio = self.clock.ratio(now);
-        let host_ns = host_now().as_nanos();
+        let host_ns = self.host.as_nanos();
         ports.publish::<Clock>(now, 0, |clock, _| {
             (clock.flight_ns, clock.host_ns, clock.rate) = (now.as_nanos(), host_ns, 1.0);
         });
@@ -299,6 +302,7 @@ impl Process for SimulatorProcess {
             // A frame is still being rendered when the next is due: flight time waits for it, nothing else does.
             Eyes::Thread { in_work, .. } => *in_work >= FRAMES_IN_WORK && self.stepped + STEP >= self.next_exposure,
         };
+        self.host = host;
         Some(self.clock.at(host, self.stepped, busy))
     }
 }

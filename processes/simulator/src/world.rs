@@ -237,7 +237,7 @@ impl World {
         let axis = Vector::new(lean.sin() * azimuth.cos(), lean.sin() * azimuth.sin(), lean.cos());
         let top = foot + axis * height;
         let brightness = draw(random, (50.0, 130.0)) as f32;
-        let contrast = if random.random_bool(forest.blank_share) { 5.0 } else { draw(random, (45.0, 100.0)) as f32 };
+        let contrast = if random.random_bool(forest.blank_share) { 5.0 } else { draw(random, (30.0, 90.0)) as f32 };
         let radius_m = draw(random, forest.trunk_radius_m);
         self.capsule(foot, top, radius_m, brightness, contrast);
         let lowest = (forest.branch_height_m / height).min(0.9);

@@ -55,6 +55,19 @@ fn read_image(path: &Path) -> Result<DynamicImage, PairError> {
     reader.decode().map_err(|source| PairError::Image { path: path.display().to_string(), source })
 }
 
+/// An image as 8-bit grey. 16-bit files must use their range: 10- or 12-bit data would come out black.
+fn read_grey(path: &Path) -> Result<image::GrayImage, PairError> {
+    let image = read_image(path)?;
+    if let DynamicImage::ImageLuma16(pixels) = &image {
+        let brightest = pixels.pixels().map(|Luma([value])| *value).max().unwrap_or(0);
+        if (1..4096).contains(&brightest) {
+            let problem = format!("is a 16-bit image with no value above {brightest}; expected data scaled to 16 bits");
+            return Err(unusable(path, problem));
+        }
+    }
+    Ok(image.into_luma8())
+}
+
 /// A rectified pair of equal size, converted to 8-bit grey.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StereoPair {
@@ -72,8 +85,7 @@ impl StereoPair {
     /// # Errors
     /// A file is missing or damaged, or the images differ in size.
     pub fn load(left: &Path, right: &Path) -> Result<Self, PairError> {
-        let left_image = read_image(left)?.into_luma8();
-        let right_image = read_image(right)?.into_luma8();
+        let (left_image, right_image) = (read_grey(left)?, read_grey(right)?);
         let (size, other) = (left_image.dimensions(), right_image.dimensions());
         if size != other {
             let problem =

@@ -15,4 +15,4 @@ mod supervision;
 pub use mission::{Mission, MissionConfig, Outcome};
 pub use policy::{Decision, Policy, RestartRule};
 pub use summary::{LatencySummary, ProcessSummary, Summary};
-pub use supervision::{ChildCommand, ChildState, ChildStatus, Happening, Supervision, SupervisionError};
+pub use supervision::{ChildCommand, ChildState, ChildStatus, Happening, SignalWatch, Supervision, SupervisionError};

@@ -13,6 +13,10 @@ use std::time::Duration;
 
 /// Time between SIGTERM and SIGKILL.
 const GRACE: Duration = Duration::from_secs(3);
+/// The supervisor judges no silence that it may itself have slept through.
+const LONGEST_ABSENCE: Duration = Duration::from_millis(500);
+/// Silence after which the world counts as dead, s.
+const WORLD_DEADLINE_S: f64 = 5.0;
 /// Grace before a first heartbeat is missed: starting up takes longer than beating.
 const START_UP: Duration = Duration::from_secs(10);
 
@@ -25,6 +29,23 @@ pub struct ChildCommand {
     pub arguments: Vec<String>,
     /// How to restart it; `None` when its death ends the run.
     pub restart: Option<RestartRule>,
+    /// Whether the run ends when it is given up. A flight goes on without its recorder.
+    pub is_essential: bool,
+}
+
+/// The signals that end a run, watched from before anything was made that would have to be cleaned up.
+#[derive(Debug)]
+pub struct SignalWatch(signal_hook::iterator::Signals);
+
+impl SignalWatch {
+    /// Starts watching SIGINT, SIGTERM and SIGHUP.
+    ///
+    /// # Errors
+    /// The operating system refuses.
+    pub fn begin() -> Result<Self, SupervisionError> {
+        use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+        signal_hook::iterator::Signals::new([SIGINT, SIGTERM, SIGHUP]).map(Self).map_err(SupervisionError::Signals)
+    }
 }
 
 /// Why the graph could not be started.
@@ -78,9 +99,11 @@ pub struct ChildStatus {
 pub enum Happening {
     /// A child died; it is being restarted or was given up.
     Died(ProcessId, String),
+    /// A child died too often and is done without.
+    GivenUp(ProcessId, String),
     /// A process whose death ends the run has died, or one was given up.
     RunEnded(ProcessId, String),
-    /// SIGINT or SIGTERM.
+    /// SIGINT, SIGTERM or SIGHUP.
     Signal(i32),
     /// Nothing, for a while.
     Nothing,
@@ -108,6 +131,8 @@ pub struct Supervision {
     sender: Sender<Event>,
     events: Receiver<Event>,
     stopping: bool,
+    /// When silence was last looked for.
+    attended: HostTime,
 }
 
 impl std::fmt::Debug for Supervision {
@@ -121,10 +146,9 @@ impl Supervision {
     ///
     /// # Errors
     /// A process cannot be spawned; those that were are stopped again.
-    pub fn start(commands: Vec<ChildCommand>) -> Result<Self, SupervisionError> {
+    pub fn start(commands: Vec<ChildCommand>, signals: SignalWatch) -> Result<Self, SupervisionError> {
         let (sender, events) = channel();
-        let signals = signal_hook::iterator::Signals::new([signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM]);
-        let mut signals = signals.map_err(SupervisionError::Signals)?;
+        let SignalWatch(mut signals) = signals;
         let to_supervisor = sender.clone();
         std::thread::spawn(move || {
             for signal in signals.forever() {
@@ -133,7 +157,8 @@ impl Supervision {
                 }
             }
         });
-        let mut supervision = Self { children: Vec::new(), sender, events, stopping: false };
+        let attended = host_now();
+        let mut supervision = Self { children: Vec::new(), sender, events, stopping: false, attended };
         for command in commands {
             supervision.children.push(Supervised::new(command));
             let last = supervision.children.len() - 1;
@@ -180,7 +205,6 @@ impl Supervision {
         };
         if !self.stopping {
             self.restart_due();
-            self.kill_silent();
         }
         happening
     }
@@ -215,7 +239,9 @@ impl Supervision {
             }
             Some(Decision::GiveUp) => {
                 child.status.state = ChildState::GivenUp;
-                Happening::RunEnded(process, format!("{how}, too often"))
+                let how = format!("{how}, too often");
+                let is_essential = child.command.is_essential;
+                if is_essential { Happening::RunEnded(process, how) } else { Happening::GivenUp(process, how) }
             }
             None => {
                 child.status.state = ChildState::GivenUp;
@@ -242,14 +268,18 @@ impl Supervision {
         }
     }
 
-    /// Kills children that have stopped beating: alive, but hung or stopped.
-    fn kill_silent(&mut self) {
+    /// Kills children that have stopped beating: alive, but hung or stopped. To be called after every heartbeat that
+    /// has arrived was [`heard`](Self::heard). When the supervisor itself was away, the children get their time anew.
+    pub fn kill_silent(&mut self) {
         let now = host_now();
-        for child in &mut self.children {
-            let Some(rule) = child.command.restart.filter(|_| child.status.state == ChildState::Running) else {
-                continue;
-            };
-            let deadline = if child.beaten { Duration::from_secs_f64(rule.heartbeat_deadline_s) } else { START_UP };
+        let was_away = now.saturating_since(self.attended) > LONGEST_ABSENCE;
+        self.attended = now;
+        for child in self.children.iter_mut().filter(|child| child.status.state == ChildState::Running) {
+            if was_away {
+                child.last_beat = now;
+            }
+            let rule_s = child.command.restart.map_or(WORLD_DEADLINE_S, |rule| rule.heartbeat_deadline_s);
+            let deadline = if child.beaten { Duration::from_secs_f64(rule_s) } else { START_UP };
             if now.saturating_since(child.last_beat) > deadline {
                 // Its exit arrives as an event, like any other death.
                 signal(child.status.pid, Signal::KILL);
@@ -279,20 +309,25 @@ impl Supervision {
         Ok(())
     }
 
-    /// Stops everything: SIGTERM in reverse order of start, SIGKILL to what is left after a grace. Returns the final
-    /// status of the children.
+    /// Stops everything: SIGTERM, SIGKILL to what is left after a grace; the recorder last, so that it has it all.
+    /// Returns the status of the children before.
     pub fn stop(&mut self) -> Vec<ChildStatus> {
         self.stopping = true;
         let last_seen = self.status();
-        for child in self.children.iter_mut().rev() {
+        self.stop_those(|process| process != ProcessId::Recorder);
+        self.stop_those(|_| true);
+        last_seen
+    }
+
+    fn stop_those(&mut self, which: impl Fn(ProcessId) -> bool) {
+        for child in self.children.iter_mut().filter(|child| which(child.command.process)) {
             child.restart_at = None;
             signal(child.status.pid, Signal::TERM);
             // A stopped process handles no signal until it continues.
             signal(child.status.pid, Signal::CONT);
         }
-        let started = host_now();
-        let mut killed = false;
-        while self.children.iter().any(|child| child.status.pid.is_some()) {
+        let (started, mut killed) = (host_now(), false);
+        while self.children.iter().any(|child| which(child.command.process) && child.status.pid.is_some()) {
             if let Ok(Event::Exited { process, incarnation, .. }) = self.events.recv_timeout(Duration::from_millis(50))
             {
                 let child = self.children.iter_mut().find(|child| child.command.process == process);
@@ -303,10 +338,10 @@ impl Supervision {
             }
             if !killed && host_now().saturating_since(started) > GRACE {
                 killed = true;
-                self.children.iter().for_each(|child| signal(child.status.pid, Signal::KILL));
+                let stubborn = self.children.iter().filter(|child| which(child.command.process));
+                stubborn.for_each(|child| signal(child.status.pid, Signal::KILL));
             }
         }
-        last_seen
     }
 }
 

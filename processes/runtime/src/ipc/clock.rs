@@ -11,8 +11,9 @@ pub(super) struct ClockFollower {
     latest: FlightTime,
 }
 
-/// A reading older than this is not extrapolated further: the clock's source has died, and so has its world.
-const LONGEST_EXTRAPOLATION_S: f64 = 5.0;
+/// A reading older than this is not extrapolated further: flight time waits, or its source has died. A few periods of
+/// the clock, so that a slowed world does not look stale to those who live in it.
+const LONGEST_EXTRAPOLATION_S: f64 = 0.05;
 
 impl ClockFollower {
     pub(super) fn read(&mut self, clock: &FlightClock) {
@@ -47,10 +48,10 @@ mod tests {
         let reading =
             FlightClock { flight_ns: 2_000_000_000, host_ns: 10_000_000_000, rate: 0.5, ..FlightClock::zeroed() };
         follower.read(&reading);
-        assert!((follower.at(host(11.0)).as_secs_f64() - 2.5).abs() < 1e-6);
-        follower.read(&FlightClock { host_ns: 11_000_000_000, ..reading });
-        assert!((follower.at(host(11.0)).as_secs_f64() - 2.5).abs() < 1e-6);
+        assert!((follower.at(host(10.04)).as_secs_f64() - 2.02).abs() < 1e-6);
+        follower.read(&FlightClock { host_ns: 10_040_000_000, ..reading });
+        assert!((follower.at(host(10.04)).as_secs_f64() - 2.02).abs() < 1e-6);
         follower.read(&FlightClock { rate: f64::NAN, ..reading });
-        assert!((follower.at(host(100.0)).as_secs_f64() - 4.5).abs() < 1e-6);
+        assert!((follower.at(host(100.0)).as_secs_f64() - 2.025).abs() < 1e-6, "it waits with its source");
     }
 }

@@ -22,6 +22,8 @@ const LONGEST_SLEEP: Duration = Duration::from_millis(20);
 pub struct DriveOptions {
     /// Which restart of the process this is.
     pub incarnation: u32,
+    /// The supervisor's process number.
+    pub supervisor: u32,
     /// How long the process lives on after its supervisor has died.
     pub lease: Duration,
 }
@@ -53,7 +55,8 @@ pub fn drive<P: Process>(mut process: P, run: &RunDir, rig: &StereoRig, options:
             ports.reads::<Clock>();
         }
     })?;
-    let supervisor = rustix::process::getppid();
+    let _alive = run.join().map_err(|error| IpcError::new("join the run")(&error))?;
+    let supervisor = rustix::process::Pid::from_raw(options.supervisor as i32);
     let mut orphaned_since = None;
     let mut heart = Heart {
         last_beat: HostTime::ZERO,
@@ -93,6 +96,7 @@ pub fn drive<P: Process>(mut process: P, run: &RunDir, rig: &StereoRig, options:
             beat(&mut ports, &heart, &report);
         }
     }
+    process.finish(&mut ports);
     Ok(())
 }
 
