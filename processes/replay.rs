@@ -79,6 +79,12 @@ fn parse_pair(text: &str) -> Result<[f64; 2], String> {
     values.map_err(|_| expected())?.try_into().map_err(|_| expected())
 }
 
+/// Name and operating-system number of a process.
+type ProcessNumber = (String, Option<u32>);
+
+/// Instant of publication, ns of flight time, and elements of a message.
+type Product<E> = (i64, Vec<E>);
+
 /// What a replay found.
 #[derive(Debug, Serialize)]
 struct ReplaySummary {
@@ -98,7 +104,7 @@ struct ReplaySummary {
     memory_ms: f64,
     #[serde(skip_serializing_if = "Option::is_none")]
     disparity_error: Option<DisparityError>,
-    pids: Vec<(String, Option<u32>)>,
+    pids: Vec<ProcessNumber>,
 }
 
 /// What the graph made of the pair.
@@ -106,9 +112,9 @@ struct ReplaySummary {
 struct Products {
     /// Published at, ns of flight time; disparity, planes, keyframes.
     frame_ns: i64,
-    disparity: Option<(i64, Vec<u16>)>,
-    expanded: Option<(i64, Vec<u16>)>,
-    keyframes: Option<(i64, Vec<Keyframe>)>,
+    disparity: Option<Product<u16>>,
+    expanded: Option<Product<u16>>,
+    keyframes: Option<Product<Keyframe>>,
 }
 
 /// Longest wait for the graph to digest a pair.
@@ -161,7 +167,7 @@ fn digest(
     run: &RunDir,
     folder: &Path,
     signals: SignalWatch,
-) -> Result<(Products, View, Vec<(String, Option<u32>)>), Box<dyn Error>> {
+) -> Result<(Products, View, Vec<ProcessNumber>), Box<dyn Error>> {
     let services = Services::create(run)?;
     let mut ports = IpcPorts::open(run, ProcessId::Supervisor, 0, &config.vehicle.rig, |ports| {
         ports.reads::<StereoFrames>();
@@ -248,7 +254,7 @@ impl Gathered {
 const MOST_AT_WORK: usize = 64;
 
 /// Exposure, publication and elements of the next message.
-fn next<T: Topic>(ports: &mut IpcPorts) -> Option<(i64, (i64, Vec<T::Element>))> {
+fn next<T: Topic>(ports: &mut IpcPorts) -> Option<(i64, Product<T::Element>)> {
     let message = ports.receive::<T>()?;
     let stamp = message.header().stamp();
     Some((stamp.valid_ns, (stamp.published_ns, message.elements().to_vec())))
@@ -295,7 +301,7 @@ fn summarise(
     products: &Products,
     view: &View,
     truth: Option<&GroundTruth>,
-    pids: Vec<(String, Option<u32>)>,
+    pids: Vec<ProcessNumber>,
 ) -> ReplaySummary {
     let rig = config.vehicle.rig;
     let empty = (0, Vec::new());

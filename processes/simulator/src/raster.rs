@@ -94,6 +94,7 @@ fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {
 /// Draws a capsule into the depth and identity buffers.
 ///
 /// Whole groups of [`LANES`] pixels are intersected: those beside the rectangle simply miss.
+#[expect(clippy::needless_range_loop, reason = "several arrays are indexed by the same lane")]
 #[multiversion(targets("x86_64+avx512f+avx512bw", "x86_64+avx2+fma", "aarch64+neon"))]
 pub(crate) fn draw_capsule(
     pinhole: Pinhole,
@@ -154,17 +155,25 @@ pub(crate) fn draw_capsule(
     }
 }
 
-/// Draws an upright box, given by the eye in the box's own axes and the rays' change per column and row.
+/// An upright box in its own axes: where the eye is, how its rays run, and the box's half extents.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct EyeCuboid {
+    pub(crate) eye: [f32; 3],
+    /// Per axis of the box: change with the column's slope, with the row's slope, and the constant part.
+    pub(crate) rays: [[f32; 3]; 3],
+    pub(crate) half: [f32; 3],
+}
+
+/// Draws a box into the depth and identity buffers.
 pub(crate) fn draw_cuboid(
     pinhole: Pinhole,
     rectangle: Rectangle,
-    eye: [f32; 3],
-    rays: [[f32; 3]; 3],
-    half: [f32; 3],
+    cuboid: EyeCuboid,
     identity: u32,
     depths: &mut [f32],
     identities: &mut [u32],
 ) {
+    let EyeCuboid { eye, rays, half } = cuboid;
     for row in rectangle.rows.0..rectangle.rows.1 {
         let y = (row as f32 - pinhole.centre.1) / pinhole.focal;
         for column in rectangle.columns.0..rectangle.columns.1 {

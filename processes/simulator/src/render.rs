@@ -2,7 +2,7 @@
 
 use crate::ground::Ground;
 use crate::noise3::Noise3;
-use crate::raster::{EyeCapsule, Pinhole, draw_capsule, draw_cuboid, stride};
+use crate::raster::{EyeCapsule, EyeCuboid, Pinhole, draw_capsule, draw_cuboid, stride};
 use crate::world::{Obstacle, Shape, World};
 use ipc_types::{Camera, Point, Pose, World as WorldFrame};
 use multiversion::multiversion;
@@ -77,20 +77,12 @@ impl Renderer {
         for (index, obstacle) in world.obstacles().iter().enumerate() {
             self.draw(&eye, obstacle, index as u32);
         }
+        let looks = Looks { texture: &self.texture, obstacles: world.obstacles() };
         let width = self.pinhole.width;
         let lines = self.depths.chunks_exact_mut(stride(width)).zip(self.identities.chunks_exact_mut(stride(width)));
         for (row, ((depths, identities), grey)) in lines.zip(grey.chunks_exact_mut(width)).enumerate() {
             draw_ground(self.pinhole, &eye, row, &world.ground, &mut depths[..width], &mut identities[..width]);
-            shade(
-                self.pinhole,
-                &eye,
-                row,
-                &self.texture,
-                world.obstacles(),
-                &depths[..width],
-                &identities[..width],
-                grey,
-            );
+            shade(self.pinhole, &eye, row, looks, &depths[..width], &identities[..width], grey);
         }
     }
 
@@ -125,7 +117,8 @@ impl Renderer {
                 let half = half_m.map(|value| value as f32);
                 let reach = (half[0] * half[0] + half[1] * half[1] + half[2] * half[2]).sqrt();
                 if let Some(rectangle) = self.pinhole.rectangle(&[eye.see(centre)], reach) {
-                    draw_cuboid(self.pinhole, rectangle, from_centre, rays, half, identity, depths, identities);
+                    let cuboid = EyeCuboid { eye: from_centre, rays, half };
+                    draw_cuboid(self.pinhole, rectangle, cuboid, identity, depths, identities);
                 }
             }
         }
@@ -145,14 +138,20 @@ fn draw_ground(pinhole: Pinhole, eye: &Eye, row: usize, ground: &Ground, depths:
     }
 }
 
+/// What gives surfaces their looks.
+#[derive(Clone, Copy)]
+struct Looks<'a> {
+    texture: &'a Noise3,
+    obstacles: &'a [Obstacle],
+}
+
 /// Grey levels of one row: brightness and texture of what each pixel sees.
 #[multiversion(targets("x86_64+avx512f+avx512bw", "x86_64+avx2+fma", "aarch64+neon"))]
 fn shade(
     pinhole: Pinhole,
     eye: &Eye,
     row: usize,
-    texture: &Noise3,
-    obstacles: &[Obstacle],
+    looks: Looks<'_>,
     depths: &[f32],
     identities: &[u32],
     grey: &mut [f32],
@@ -165,12 +164,12 @@ fn shade(
         }
         let ray = eye.ray((column as f32 - pinhole.centre.0) / pinhole.focal, y);
         let point = [0, 1, 2].map(|axis| eye.origin[axis] + depth * ray[axis]);
-        let (brightness, contrast) = match obstacles.get(identity as usize) {
+        let (brightness, contrast) = match looks.obstacles.get(identity as usize) {
             Some(obstacle) => (obstacle.brightness, obstacle.contrast),
             None => (105.0, 90.0),
         };
         // Blank surfaces are lit evenly; textured ones show their texture at the scale of the pixel.
-        let detail = if contrast > 0.0 { texture.texture(point, depth / pinhole.focal) } else { 0.0 };
+        let detail = if contrast > 0.0 { looks.texture.texture(point, depth / pinhole.focal) } else { 0.0 };
         *grey = brightness + contrast * detail;
     }
 }

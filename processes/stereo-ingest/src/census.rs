@@ -41,7 +41,7 @@ fn census_row(lines: &[u8], stride: usize, descriptors: &mut [u32]) {
     for dy in 0..=2 * HALF_HEIGHT {
         for dx in 0..=2 * HALF_WIDTH {
             // The chequerboard's colour that the centre does not have: 32 of the 63 cells.
-            if (dx + HALF_WIDTH + dy + HALF_HEIGHT) % 2 == 0 {
+            if (dx + HALF_WIDTH + dy + HALF_HEIGHT).is_multiple_of(2) {
                 continue;
             }
             let neighbour = &lines[dy * stride + dx..][..width];
