@@ -4,6 +4,7 @@ mod common;
 
 use common::{Run, real_time};
 use rustix::process::{Pid, Signal, kill_process};
+use serde_json::Value;
 use std::collections::HashSet;
 use std::time::Duration;
 
@@ -11,10 +12,17 @@ fn kill(pid: u32, signal: Signal) {
     kill_process(Pid::from_raw(pid as i32).expect("a process number"), signal).expect("killed");
 }
 
-/// Waits until the vehicle has flown for `seconds`, by the size of its log: no clock is shared with the flight.
+/// A kill has to come in the middle of a flight, and there is no event to wait for.
 fn let_it_fly(seconds: u64) {
-    // A kill has to come in the middle of a flight; there is no event to wait for.
     std::thread::sleep(Duration::from_secs(seconds));
+}
+
+/// Every message of a topic in a run's log.
+fn logged(run: &Run, topic: &str) -> Vec<Value> {
+    let bytes = std::fs::read(run.log()).expect("a log");
+    let messages = mcap::MessageStream::new(&bytes).expect("an MCAP file").map(|message| message.expect("intact"));
+    let of_topic = messages.filter(|message| message.channel.topic == topic);
+    of_topic.map(|message| serde_json::from_slice(&message.data).expect("JSON")).collect()
 }
 
 #[test]
@@ -40,32 +48,50 @@ fn the_default_flight_arrives_with_eight_processes_and_a_readable_log() {
     run.assert_nothing_left();
 }
 
-/// Kills a process in mid-flight and returns how the flight ended.
-fn killed(process: &str) -> common::Flown {
+/// Kills processes in mid-flight, one after the other, asserts that each is back at once, and returns how it ended.
+fn killed(run: &Run, victims: &[&str]) -> common::Flown {
     let _alone = real_time();
-    let run = Run::new(process);
     let flight = run.start(&["--seed", "2", "--speed", "4"]);
-    let pid = run.wait_for_process(process);
-    let_it_fly(8);
-    kill(pid, Signal::KILL);
+    run.wait_for_process("simulator");
+    let_it_fly(6);
+    for process in victims {
+        let_it_fly(2);
+        kill(run.wait_for_process(process), Signal::KILL);
+    }
     let flown = run.flown(flight.wait_with_output().expect("ends"));
     let processes = flown.summary["processes"].as_array().expect("processes");
-    let entry = processes.iter().find(|entry| entry["name"] == process).expect("listed");
-    println!("{process}: back after {} ms", entry["longest_recovery_ms"]);
-    assert_eq!(entry["restarts"], 1, "{entry}");
-    assert!(entry["longest_recovery_ms"].as_f64().expect("measured") < 200.0, "{entry}");
+    for process in victims {
+        let entry = processes.iter().find(|entry| entry["name"] == *process).expect("listed");
+        println!("{process}: back after {} ms", entry["longest_recovery_ms"]);
+        assert_eq!(entry["restarts"], 1, "{entry}");
+        assert!(entry["longest_recovery_ms"].as_f64().expect("measured") < 200.0, "{entry}");
+    }
     run.assert_nothing_left();
     flown
 }
 
 #[test]
 fn a_killed_expansion_is_back_at_once_and_the_flight_goes_on() {
-    assert_eq!(killed("expansion").outcome(), "arrived");
+    assert_eq!(killed(&Run::new("expansion"), &["expansion"]).outcome(), "arrived");
 }
 
 #[test]
 fn a_killed_controller_means_braking_then_going_on() {
-    assert_eq!(killed("controller").outcome(), "arrived");
+    let run = Run::new("controller");
+    assert_eq!(killed(&run, &["controller"]).outcome(), "arrived");
+    let setpoints = logged(&run, "setpoint");
+    let successor = setpoints.iter().find(|setpoint| setpoint["stamp"]["incarnation"] == 1).expect("a successor");
+    let speed = |setpoint: &Value| {
+        let velocity = setpoint["velocity_mps"].as_array().expect("a vector").iter();
+        velocity.map(|v| v.as_f64().expect("a number").powi(2)).sum::<f64>().sqrt()
+    };
+    assert!(speed(successor) < 0.5, "it begins by braking: {successor}");
+}
+
+#[test]
+fn stereo_memory_and_planner_may_be_killed_in_one_flight() {
+    let flown = killed(&Run::new("three"), &["stereo-ingest", "memory", "planner"]);
+    assert_eq!(flown.outcome(), "arrived");
 }
 
 #[test]
