@@ -47,6 +47,12 @@ pub(crate) struct ReplayArguments {
     /// Disparities searched: 32, 64, 96, 128, 192 or 256.
     #[arg(long, value_name = "PX", default_value_t = 64)]
     max_disparity: u32,
+    /// Mean horizontal difference that counts as texture, grey levels: above the camera's noise.
+    #[arg(long, value_name = "GREY", default_value_t = 1.0)]
+    least_texture: f32,
+    /// Longest unmatched run that takes the nearer of its ends, px; a twelfth of the image's width if not given.
+    #[arg(long, value_name = "PX")]
+    hole: Option<u32>,
     /// True disparities: 16-bit PNG (px × 256) or PFM.
     #[arg(long, value_name = "FILE")]
     ground_truth: Option<PathBuf>,
@@ -126,6 +132,8 @@ pub(crate) fn replay(arguments: &ReplayArguments) -> Result<ExitCode, Box<dyn Er
     let mut config = FlightConfig::load(arguments.config.as_deref(), None)?;
     config.vehicle.rig = rig;
     config.vehicle.stereo.max_disparity_px = arguments.max_disparity;
+    config.vehicle.stereo.least_texture = arguments.least_texture;
+    config.vehicle.expansion.hole_px = arguments.hole.unwrap_or(pair.width_px / 12).min(128);
     let truth = arguments.ground_truth.as_deref();
     let truth = truth.map(|path| GroundTruth::load(path, arguments.mask.as_deref(), pair.width_px, pair.height_px));
     let truth = truth.transpose()?;
@@ -188,9 +196,14 @@ fn digest(
     }
     let mut supervision = Supervision::start(commands, signals)?;
     let (started, mut gathered) = (Instant::now(), Gathered::new());
-    let products = loop {
+    let (products, view) = loop {
         if let Some(complete) = gathered.complete() {
-            break complete;
+            // The images lie in the run's shared memory, which goes when the graph stops: ask before. A newer showing
+            // may have taken the keyframe's place already; then it is its turn.
+            let view = complete.view(config, &mut ports);
+            if view.keyframes() > 0 {
+                break (complete, view);
+            }
         }
         match supervision.attend(&services, Duration::from_millis(10)) {
             Happening::Signal(_) => return Err("interrupted".into()),
@@ -208,8 +221,6 @@ fn digest(
             return Err(format!("the graph did not digest the pair within {} s", PATIENCE.as_secs()).into());
         }
     };
-    // The images lie in the run's shared memory, which goes when the graph stops: ask before.
-    let view = products.view(config, &mut ports);
     let pids = supervision.stop().iter().map(|child| (child.process.name().to_owned(), child.pid)).collect();
     Ok((products, view, pids))
 }

@@ -20,7 +20,7 @@ const PAIRS: [(&str, &str, &str, u32, f64); 5] = [
     ("mid2003_cones", "im2.png", "im6.png", 64, 12.0),
     ("mid2014_motorcycle_perfect_q", "motorcycle_left.png", "motorcycle_right.png", 64, 18.0),
     ("eth3d_playground", "im0.png", "im1.png", 64, 20.0),
-    ("kitti2012_pair_gt", "kittiL.png", "kittiR.png", 96, 20.0),
+    ("kitti2012_pair_gt", "kittiL.png", "kittiR.png", 96, 32.0),
 ];
 
 #[test]

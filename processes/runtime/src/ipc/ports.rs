@@ -145,9 +145,7 @@ impl IpcPorts {
             self.now = own;
             return;
         }
-        while let Some(clock) = self.receive::<Clock>() {
-            self.clock.read(clock.header());
-        }
+        follow_clock(&mut self.clock, &self.incoming);
         self.now = self.clock.at(host_now());
     }
 
@@ -215,6 +213,8 @@ impl IpcPorts {
         let mut header = T::Header::zeroed();
         fill(&mut header, slice);
         port.sequence += 1;
+        // The step may have taken longer than the clock may be extrapolated.
+        follow_clock(&mut self.clock, &self.incoming);
         let published = own_time.unwrap_or_else(|| self.clock.at(host_now()));
         *header.stamp_mut() = Stamp {
             sequence: port.sequence,
@@ -231,6 +231,14 @@ impl IpcPorts {
             let _ = bell.notify();
         }
         Ok(())
+    }
+}
+
+/// Reads what the flight clock has said since.
+fn follow_clock(clock: &mut ClockFollower, incoming: &HashMap<&'static str, Box<dyn Any>>) {
+    let port = incoming.get(Clock::INFO.name).and_then(|port| port.downcast_ref::<Incoming<Clock>>());
+    while let Some(Ok(Some(reading))) = port.map(|port| port.subscriber.receive()) {
+        clock.read(&reading.user_header().0);
     }
 }
 
