@@ -5,14 +5,14 @@
 //! why ([`ipc_types::messages::ExpandedImage`] defines the three planes).
 //!
 //! * **Front** is never behind the true configuration-space surface. Each pixel covers the bounding box of its
-//!   sphere's silhouette, found from the sphere's two tangents per axis ([`window`]) instead of a table of whole
-//!   disparities, and the box is filled by a windowed maximum ([`range_max`]), rows first, then columns. The box
+//!   sphere's silhouette, found from the sphere's two tangents per axis (`window.rs`) instead of a table of whole
+//!   disparities, and the box is filled by a windowed maximum (`range_max.rs`), rows first, then columns. The box
 //!   contains the silhouette, so nothing is missed; the corners are over-expanded.
 //! * **Back** is the far end of the obstacle that owns the front: z(d − λσ) + r of the winning pixel. This is
 //!   Algorithm 1's `connectedComponent` with a range of zero: a surface that continues behind the winner is
 //!   reported as occluded, never as free.
 //! * **Near limit**: closer than this, a body centred on the pixel's ray would reach pixels that were not
-//!   measured or lie outside the image, so the image does not vouch for free space there ([`measured`]).
+//!   measured or lie outside the image, so the image does not vouch for free space there (`measured.rs`).
 //!
 //! The core refuses to read clocks, allocate after construction, or guess at an image of another size.
 
