@@ -336,6 +336,12 @@ impl VehicleConfig {
             "expansion.body_radius_m",
             format_args!("is {body_m}, must be at least the hull's {hull_m} m"),
         );
+        let escape_m = self.planner.escape_m;
+        bounds.require(
+            escape_m <= 0.6 * radius_m,
+            "planner.escape_m",
+            format_args!("is {escape_m}, must be at most 0.6 x expansion.radius_m = {:.2}", 0.6 * radius_m),
+        );
         let deadline_s = self.controller.trajectory_deadline_s + self.planner.lead_s;
         bounds.require(
             self.planner.commit_s >= deadline_s,

@@ -4,7 +4,7 @@ use crate::wire::{Stamp, stamped, wire};
 
 wire! {
     /// A trajectory that ends at rest. Elements: [`TrajectoryPoint`]s in order of time, the first at `stamp.valid_ns`.
-    Trajectory = "sparrowhawk/Trajectory/1" {
+    Trajectory = "sparrowhawk/Trajectory/2" {
         /// Origin.
         stamp: Stamp,
         /// Exposure of the newest image the plan rests on, ns; 0 when none was needed.
@@ -17,8 +17,12 @@ wire! {
         candidates: u32,
         /// Candidates found admissible.
         admissible: u32,
-        /// Always zero.
-        reserved: u32,
+        /// Candidates refused because they touch something occupied.
+        occupied: u32,
+        /// Candidates refused because what they commit to is not known free.
+        unknown: u32,
+        /// Candidates refused because they leave the fence.
+        outside: u32,
         /// Planning latency allowed for: the trajectory starts this long after the newest state, s.
         lead_s: f64,
     }

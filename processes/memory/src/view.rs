@@ -10,6 +10,32 @@ use runtime::images::StoredImage;
 /// Weight of a vote for free or occluded against one for occupied (Table 3.1).
 const SAFE_DISCOUNT: f32 = 0.5;
 
+/// Votes that a point is safe, to be set against those that it is occupied.
+///
+/// Eq. 3.11 takes half of their sum. Views err together, though: what one is too far away to resolve, such as a thin
+/// branch, its neighbours miss as well, and ten of them would outvote the one view that was near enough. So the sum
+/// counts for no more than the strongest free vote, and views from which the point is hidden clear nothing alone.
+#[derive(Clone, Copy, Default)]
+struct Safe {
+    sum: f32,
+    strongest_free: f32,
+}
+
+impl Safe {
+    fn free(&mut self, weight: f32) {
+        self.sum += weight;
+        self.strongest_free = self.strongest_free.max(weight);
+    }
+
+    fn occluded(&mut self, weight: f32) {
+        self.sum += weight;
+    }
+
+    fn discount(self) -> f32 {
+        (SAFE_DISCOUNT * self.sum).min(self.strongest_free)
+    }
+}
+
 /// Why a point is unknown.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, PartialOrd, Ord)]
 pub enum Unknown {
@@ -35,7 +61,7 @@ pub enum Occupancy {
 /// The sum of the votes on a point, before a threshold makes an answer of it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Score {
-    /// Eq. 3.11: occupied votes minus half of the others.
+    /// Eq. 3.11: occupied votes minus half of the others, which count for no more than the strongest free vote.
     pub sum: f32,
     /// Whether any view vouches for free space.
     pub vouched: bool,
@@ -133,30 +159,32 @@ impl View {
     /// The sum of the keyframes' votes on a point (Table 3.1).
     pub fn score(&self, point: Point<World>) -> Score {
         let mut score = Score { sum: 0.0, vouched: false, unknown: Unknown::OutOfView };
-        let mut background = 0.0;
+        let (mut safe, mut background) = (Safe::default(), Safe::default());
         for key in &self.keys {
             match self.vote(key, point) {
                 Vote::OutOfView => {}
                 Vote::NoReturn => score.unknown = score.unknown.max(Unknown::NoReturn),
                 Vote::Occluded(weight) => {
-                    score.sum -= SAFE_DISCOUNT * weight;
+                    safe.occluded(weight);
                     score.unknown = Unknown::Occluded;
                 }
                 Vote::Occupied(weight) => score.sum += weight,
                 Vote::Free(weight) => {
-                    score.sum -= SAFE_DISCOUNT * weight;
+                    safe.free(weight);
                     score.vouched = true;
                 }
                 Vote::FarBackground(weight) => {
                     score.unknown = score.unknown.max(Unknown::NoReturn);
-                    background += weight;
+                    background.free(weight);
                 }
             }
         }
-        if background > 0.0 && self.background_has_parallax(point) {
+        if background.sum > 0.0 && self.background_has_parallax(point) {
             score.vouched = true;
-            score.sum -= SAFE_DISCOUNT * background;
+            safe.sum += background.sum;
+            safe.strongest_free = safe.strongest_free.max(background.strongest_free);
         }
+        score.sum -= safe.discount();
         score
     }
 

@@ -6,12 +6,31 @@ use ipc_types::limits::Fence;
 use ipc_types::{Point, Vector, World};
 use memory::{Occupancy, View};
 
+/// Spacing at which the start of a candidate is searched for the way out, m.
+const ESCAPE_SPACING_M: f64 = 0.05;
+
 /// Asks the map about candidates.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Admission<'a> {
     pub(crate) view: &'a View,
     pub(crate) fence: &'a Fence,
     pub(crate) config: &'a Config,
+}
+
+/// The occupied stretch at a candidate's start: a vehicle that has come too near to something may leave its margin.
+///
+/// A straight line that leaves every ball of radius R it starts in within s comes nearer to none of their centres, but
+/// for s²/8R. So a short stretch leads out, and a way deeper in is never short.
+#[derive(Clone, Copy, Debug)]
+struct Escape {
+    from: Point<World>,
+    reach_m: f64,
+}
+
+impl Escape {
+    fn covers(&self, point: Point<World>) -> bool {
+        self.from.distance(point) <= self.reach_m
+    }
 }
 
 /// What was found along an admissible candidate.
@@ -21,52 +40,120 @@ pub(crate) struct Admitted {
     pub(crate) unknown_m: f64,
 }
 
+/// What became of the candidates. Those that could not win are not asked about.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Tally {
+    /// Candidates rolled out.
+    pub candidates: u32,
+    /// Found admissible.
+    pub admissible: u32,
+    /// Refused because they touch something occupied.
+    pub occupied: u32,
+    /// Refused because what they commit to is not known free.
+    pub unknown: u32,
+    /// Refused because they leave the fence.
+    pub outside: u32,
+}
+
+impl Tally {
+    pub(crate) fn count(&mut self, found: Result<Admitted, Refusal>) -> Option<Admitted> {
+        *match found {
+            Ok(_) => &mut self.admissible,
+            Err(Refusal::Occupied) => &mut self.occupied,
+            Err(Refusal::Unknown) => &mut self.unknown,
+            Err(Refusal::Outside) => &mut self.outside,
+        } += 1;
+        found.ok()
+    }
+}
+
+/// Why a candidate may not be flown.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Refusal {
+    /// It touches something occupied.
+    Occupied,
+    /// What it commits to is not known free.
+    Unknown,
+    /// It leaves the fence.
+    Outside,
+}
+
 impl Admission<'_> {
     /// Whether a candidate may be flown, with `threshold` (γ) for occupied. Leaves at the first reason why not.
-    pub(crate) fn admit(&self, rollout: &Rollout, threshold: f32) -> Option<Admitted> {
+    pub(crate) fn admit(&self, rollout: &Rollout, threshold: f32) -> Result<Admitted, Refusal> {
+        let escape = self.escape(rollout, threshold)?;
         let committed = (self.config.commit_s / STEP_S).ceil() as usize;
         let committed = committed.min(rollout.samples.len() - 1);
         // At every step until the next plan, not only at the last: braking leaves a curve along its tangent.
-        let committed_samples = rollout.samples[..=committed].iter().rev();
-        if !committed_samples.clone().all(|&sample| self.stops_in_free_space(sample, threshold)) {
-            return None;
+        for &sample in rollout.samples[..=committed].iter().rev() {
+            self.stops_in_free_space(sample, threshold, escape)?;
         }
         let mut unknown_m = 0.0;
         for (index, pair) in rollout.samples.windows(2).enumerate() {
             let must_be_known = index < committed;
-            unknown_m += self.leg(pair[0].position, pair[1].position, threshold, must_be_known)?;
+            unknown_m += self.leg(pair[0].position, pair[1].position, threshold, must_be_known, escape)?;
         }
-        Some(Admitted { unknown_m })
+        Ok(Admitted { unknown_m })
+    }
+
+    /// The occupied stretch at the start, if it is short enough to leave.
+    fn escape(&self, rollout: &Rollout, threshold: f32) -> Result<Escape, Refusal> {
+        let from = rollout.samples[0].position;
+        let mut reach_m = 0.0;
+        for pair in rollout.samples.windows(2) {
+            let pieces = (pair[0].position.distance(pair[1].position) / ESCAPE_SPACING_M).ceil().max(1.0) as usize;
+            for piece in 0..pieces {
+                let point = pair[0].position.lerp(pair[1].position, piece as f64 / pieces as f64);
+                if reach_m > self.config.escape_m {
+                    return Err(Refusal::Occupied);
+                }
+                if self.view.occupancy(point, threshold) != Occupancy::Occupied {
+                    return Ok(Escape { from, reach_m });
+                }
+                reach_m = from.distance(point) + ESCAPE_SPACING_M;
+            }
+        }
+        Err(Refusal::Occupied)
     }
 
     /// Invariant 2: the braking segment along the velocity lies in space known free.
-    fn stops_in_free_space(&self, from: Sample, threshold: f32) -> bool {
-        let (mut at, mut safe) = (from.position, true);
-        brake(from, self.config, |sample| {
-            safe = safe && self.leg(at, sample.position, threshold, true).is_some();
+    fn stops_in_free_space(&self, from: Sample, threshold: f32, escape: Escape) -> Result<(), Refusal> {
+        let (mut at, mut found) = (from.position, Ok(()));
+        brake(from, self.config.braking_mps2, |sample| {
+            if found.is_ok() {
+                found = self.leg(at, sample.position, threshold, true, escape).map(drop);
+            }
             at = sample.position;
         });
-        safe
+        found
     }
 
-    /// Length of unknown space along a leg (its start not included), or `None` where it may not be flown.
-    fn leg(&self, from: Point<World>, to: Point<World>, threshold: f32, must_be_known: bool) -> Option<f64> {
+    /// Length of unknown space along a leg (its start not included), unless it may not be flown.
+    fn leg(
+        &self,
+        from: Point<World>,
+        to: Point<World>,
+        threshold: f32,
+        must_be_known: bool,
+        escape: Escape,
+    ) -> Result<f64, Refusal> {
         let length = from.distance(to);
         let samples = (length / self.config.sample_m).ceil().max(1.0) as usize;
         let mut unknown = 0;
         for sample in 1..=samples {
             let point = from.lerp(to, sample as f64 / samples as f64);
             if !self.fence.contains(point) && !self.is_way_back_in(from, to) {
-                return None;
+                return Err(Refusal::Outside);
             }
             match self.view.occupancy(point, threshold) {
                 Occupancy::Free => {}
-                Occupancy::Occupied => return None,
-                Occupancy::Unknown(_) if must_be_known => return None,
+                Occupancy::Occupied if escape.covers(point) => {}
+                Occupancy::Occupied => return Err(Refusal::Occupied),
+                Occupancy::Unknown(_) if must_be_known => return Err(Refusal::Unknown),
                 Occupancy::Unknown(_) => unknown += 1,
             }
         }
-        Some(length * f64::from(unknown) / samples as f64)
+        Ok(length * f64::from(unknown) / samples as f64)
     }
 
     /// Outside the fence only what leads back in is allowed.

@@ -18,6 +18,7 @@ mod process;
 mod rollout;
 mod stuck;
 
+pub use admission::Tally;
 pub use planner::{Plan, Planner, Situation};
 pub use process::PlannerProcess;
 
@@ -56,6 +57,10 @@ pub struct Config {
     pub acceleration_mps2: f64,
     /// Deceleration of the candidates, m/s².
     pub braking_mps2: f64,
+    /// Deceleration of a stop for want of an admissible plan, m/s².
+    pub hard_braking_mps2: f64,
+    /// Longest occupied stretch at a candidate's start that may be flown, to leave a margin the vehicle is in, m.
+    pub escape_m: f64,
     /// Speed of take-off, m/s.
     pub take_off_mps: f64,
     /// Height above the take-off place to fly at, m.
@@ -116,6 +121,8 @@ impl Config {
         bounds.range("sample_m", self.sample_m, 0.02..=1.0);
         bounds.range("acceleration_mps2", self.acceleration_mps2, 0.2..=20.0);
         bounds.range("braking_mps2", self.braking_mps2, 0.2..=20.0);
+        bounds.range("hard_braking_mps2", self.hard_braking_mps2, self.braking_mps2.max(0.2)..=20.0);
+        bounds.range("escape_m", self.escape_m, 0.0..=2.0);
         bounds.range("take_off_mps", self.take_off_mps, 0.1..=5.0);
         bounds.range("cruise_height_m", self.cruise_height_m, 0.5..=100.0);
         bounds.range("yaw_rate_degps", self.yaw_rate_degps, 1.0..=360.0);

@@ -1,7 +1,7 @@
 //! The pure core: situation in, plan out.
 
 use crate::Config;
-use crate::admission::Admission;
+use crate::admission::{Admission, Tally};
 use crate::library::{self, Index};
 use crate::rollout::{Rollout, STEP_S, Sample, Target};
 use crate::stuck::{LOOK_SHARE, Stage, Stuck};
@@ -47,10 +47,8 @@ pub struct Plan {
     pub start: FlightTime,
     /// What it does.
     pub mode: PlanMode,
-    /// Candidates evaluated.
-    pub candidates: u32,
-    /// Candidates found admissible.
-    pub admissible: u32,
+    /// What became of the candidates.
+    pub tally: Tally,
 }
 
 /// Plans trajectories. Keeps the plan being flown, so that flicker does not change it.
@@ -125,13 +123,11 @@ impl Planner {
         // Where the vehicle will be when the plan takes effect.
         let ahead_s = start.seconds_since(situation.state_valid).clamp(0.0, 0.5);
         let from = Sample { position: situation.position + situation.velocity * ahead_s, velocity: situation.velocity };
-        let plan = |mode| Plan { start, mode, candidates: 0, admissible: 0 };
-        let top = Point::new(self.home.x, self.home.y, self.home.z + self.config.cruise_height_m);
+        let plan = |mode| Plan { start, mode, tally: Tally::default() };
         // Also when this process was restarted in mid-flight.
-        let away_m = (situation.position - self.home).horizontal_norm();
-        self.airborne |= situation.position.z >= top.z - 0.3 || away_m > AWAY_M;
+        self.airborne |= !self.is_take_off(situation.position);
         if !self.airborne {
-            let climb = Target::Place(top, self.config.take_off_mps);
+            let climb = Target::Place(self.top(), self.config.take_off_mps);
             self.best.fill(from, climb, 3.0, &self.config);
             self.write_points(situation.yaw_rad, |_| goal_heading(situation));
             return plan(PlanMode::TakeOff);
@@ -153,33 +149,50 @@ impl Planner {
             self.settle(situation, from, view);
             return plan(PlanMode::Arrived);
         }
-        let path = view.free_space().path();
+        let path = self.way_flown(view);
         self.stuck.note_progress(situation.now, situation.position, to_goal_m, path, &self.config);
         if matches!(self.stuck.stage, Stage::BackingOut { .. }) {
             self.brake(from, situation.yaw_rad);
             return plan(PlanMode::Hold);
         }
-        let (candidates, admissible) = self.choose(from, situation, view);
-        if admissible == 0 {
+        let tally = self.choose(from, situation, view);
+        if tally.admissible == 0 {
             let mode = self.no_plan(from, situation, view);
-            return Plan { candidates, ..plan(mode) };
+            return Plan { tally, ..plan(mode) };
         }
         self.stuck.moving();
         self.write_points(situation.yaw_rad, |velocity| travel_heading(velocity, situation));
-        Plan { candidates, admissible, ..plan(PlanMode::Cruise) }
+        Plan { tally, ..plan(PlanMode::Cruise) }
     }
 
-    /// Leaves the cheapest admissible candidate in `self.best`; returns how many were tried and admitted.
-    fn choose(&mut self, from: Sample, situation: &Situation, view: &View) -> (u32, u32) {
+    /// Where take-off ends.
+    fn top(&self) -> Point<World> {
+        Point::new(self.home.x, self.home.y, self.home.z + self.config.cruise_height_m)
+    }
+
+    /// Whether a place belongs to the climb of the take-off.
+    fn is_take_off(&self, place: Point<World>) -> bool {
+        place.z < self.top().z - 0.3 && (place - self.home).horizontal_norm() <= AWAY_M
+    }
+
+    /// The path flown since take-off, oldest first: what may be flown back.
+    fn way_flown<'a>(&self, view: &'a View) -> &'a [Point<World>] {
+        let path = view.free_space().path();
+        let climb = path.iter().rposition(|&place| self.is_take_off(place));
+        &path[climb.map_or(0, |last| last + 1)..]
+    }
+
+    /// Leaves the cheapest admissible candidate in `self.best`; returns what became of all.
+    fn choose(&mut self, from: Sample, situation: &Situation, view: &View) -> Tally {
         let (config, fence) = (&self.config, &self.fence);
         let admission = Admission { view, fence, config };
         let (goal, stuck, flying) = (situation.goal, &self.stuck, self.flying);
         let (scratch, best) = (&mut self.scratch, &mut self.best);
         let height = self.home.z + config.cruise_height_m;
-        let (mut tried, mut admitted, mut cheapest, mut choice) = (0, 0, f64::INFINITY, None);
+        let (mut tally, mut cheapest, mut choice) = (Tally::default(), f64::INFINITY, None);
         let near_goal = from.position.distance(goal) < LEFT_M;
         library::for_each(config, from.position, goal, situation.cruise_mps, |index, target| {
-            tried += 1;
+            tally.candidates += 1;
             let is_flying = flying == Some(index);
             let threshold = if is_flying { config.gamma_high } else { config.gamma_low };
             scratch.fill(from, target, config.horizon_s, config);
@@ -192,10 +205,9 @@ impl Planner {
             if stands_still || price >= cheapest {
                 return;
             }
-            let Some(found) = admission.admit(scratch, threshold) else {
+            let Some(found) = tally.count(admission.admit(scratch, threshold)) else {
                 return;
             };
-            admitted += 1;
             let reach_m = config.tail_m.min(end.distance(goal));
             price += config.unknown_price * found.unknown_m;
             price += reach_m - admission.clear_m(end, goal, config.tail_m, threshold);
@@ -208,12 +220,12 @@ impl Planner {
             self.replans += 1;
         }
         self.flying = choice;
-        (tried, admitted)
+        tally
     }
 
     /// Nothing is admissible: brake, and let [`Stuck`] say what else.
     fn no_plan(&mut self, from: Sample, situation: &Situation, view: &View) -> PlanMode {
-        let path = view.free_space().path();
+        let path = self.way_flown(view);
         self.stuck.no_plan(situation.now, situation.position, path, &self.config);
         match self.stuck.stage {
             Stage::LookingAround { .. } => {
@@ -264,7 +276,7 @@ impl Planner {
     fn settle(&mut self, situation: &Situation, from: Sample, view: &View) {
         let admission = Admission { view, fence: &self.fence, config: &self.config };
         self.best.fill(from, Target::Place(situation.goal, SETTLE_MPS), self.config.horizon_s, &self.config);
-        if admission.admit(&self.best, self.config.gamma_high).is_none() {
+        if admission.admit(&self.best, self.config.gamma_high).is_err() {
             return self.brake(from, situation.yaw_rad);
         }
         self.flying = None;
@@ -274,7 +286,7 @@ impl Planner {
     /// A straight stop along the velocity, which is always allowed.
     fn brake(&mut self, from: Sample, yaw_rad: f64) {
         self.flying = None;
-        self.best.fill(from, Target::Velocity(Vector::ZERO), 0.0, &self.config);
+        self.best.stop(from, self.config.hard_braking_mps2);
         self.write_points(yaw_rad, |_| yaw_rad);
     }
 
@@ -330,6 +342,8 @@ pub(crate) mod tests {
             sample_m: 0.15,
             acceleration_mps2: 3.5,
             braking_mps2: 3.5,
+            hard_braking_mps2: 5.0,
+            escape_m: 0.3,
             take_off_mps: 1.2,
             cruise_height_m: 2.0,
             yaw_rate_degps: 90.0,

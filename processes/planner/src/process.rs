@@ -140,7 +140,8 @@ impl Process for PlannerProcess {
             out.image_valid_ns = set.header().stamp.valid_ns;
             out.replans = planner.replans();
             out.mode = plan.mode as u32;
-            (out.candidates, out.admissible) = (plan.candidates, plan.admissible);
+            (out.candidates, out.admissible) = (plan.tally.candidates, plan.tally.admissible);
+            (out.occupied, out.unknown, out.outside) = (plan.tally.occupied, plan.tally.unknown, plan.tally.outside);
             out.lead_s = lead_s;
             points.copy_from_slice(planner.points());
         });

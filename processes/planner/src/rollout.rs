@@ -54,7 +54,15 @@ impl Rollout {
             self.samples.push(sample);
         }
         self.braking = self.samples.len();
-        brake(sample, config, |sample| self.samples.push(sample));
+        brake(sample, config.braking_mps2, |sample| self.samples.push(sample));
+    }
+
+    /// Brakes to rest at once, straight along the velocity. Reuses the samples' memory.
+    pub(crate) fn stop(&mut self, start: Sample, braking_mps2: f64) {
+        self.samples.clear();
+        self.samples.push(start);
+        self.braking = 1;
+        brake(start, braking_mps2, |sample| self.samples.push(sample));
     }
 
     /// Where the going ends.
@@ -64,13 +72,13 @@ impl Rollout {
 }
 
 /// Calls `each` with the samples after `sample` of a straight stop along its velocity; the last is at rest.
-pub(crate) fn brake(mut sample: Sample, config: &Config, mut each: impl FnMut(Sample)) {
+pub(crate) fn brake(mut sample: Sample, braking_mps2: f64, mut each: impl FnMut(Sample)) {
     for _ in 0..MOST_SAMPLES {
         let speed = sample.velocity.norm();
         if speed <= 0.0 {
             return;
         }
-        let change = (-sample.velocity).clamp_norm(config.braking_mps2 * STEP_S);
+        let change = (-sample.velocity).clamp_norm(braking_mps2 * STEP_S);
         sample = advance(sample, change);
         if sample.velocity.norm() < 1e-6 {
             sample.velocity = Vector::ZERO;
@@ -127,7 +135,7 @@ mod tests {
     fn braking_covers_the_braking_distance() {
         let config = config();
         let mut end = start(4.0);
-        brake(end, &config, |sample| end = sample);
+        brake(end, config.braking_mps2, |sample| end = sample);
         let expected = 16.0 / (2.0 * config.braking_mps2);
         assert!((end.position.x - expected).abs() < 0.1, "{end:?}, expected {expected}");
     }
