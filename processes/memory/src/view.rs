@@ -129,6 +129,12 @@ impl View {
         fits
     }
 
+    /// Half of the camera's horizontal field of view, rad.
+    pub fn half_view_rad(&self) -> f64 {
+        let half_px = self.rig.cx_px.min(f64::from(self.rig.width_px) - 1.0 - self.rig.cx_px);
+        (half_px / self.rig.focal_px).atan()
+    }
+
     /// Number of keyframes.
     pub fn keyframes(&self) -> usize {
         self.keys.len()

@@ -88,10 +88,20 @@ impl Admission<'_> {
         for &sample in rollout.samples[..=committed].iter().rev() {
             self.stops_in_free_space(sample, threshold, escape)?;
         }
+        self.walk(rollout, committed, threshold, escape)
+    }
+
+    /// Whether nothing known stands in a candidate's way, were all of it seen: good enough to look there, not to fly.
+    pub(crate) fn promises(&self, rollout: &Rollout, threshold: f32) -> Option<Admitted> {
+        let escape = self.escape(rollout, threshold).ok()?;
+        self.walk(rollout, 0, threshold, escape).ok()
+    }
+
+    /// Asks along a candidate, of which the first `known` steps must be known free.
+    fn walk(&self, rollout: &Rollout, known: usize, threshold: f32, escape: Escape) -> Result<Admitted, Refusal> {
         let mut unknown_m = 0.0;
         for (index, pair) in rollout.samples.windows(2).enumerate() {
-            let must_be_known = index < committed;
-            unknown_m += self.leg(pair[0].position, pair[1].position, threshold, must_be_known, escape)?;
+            unknown_m += self.leg(pair[0].position, pair[1].position, threshold, index < known, escape)?;
         }
         Ok(Admitted { unknown_m })
     }

@@ -12,6 +12,7 @@
 //! Effort is bounded by the number of candidates and samples, never by time.
 
 mod admission;
+mod gaze;
 mod library;
 mod planner;
 mod process;
@@ -73,6 +74,8 @@ pub struct Config {
     pub height_price: f64,
     /// How much cheaper a new plan must be than the one being flown, m.
     pub hysteresis_m: f64,
+    /// Price of turning the camera to where it does not look before setting out there, m.
+    pub look_price_m: f64,
     /// Time without an admissible plan before looking around, s.
     pub patience_s: f64,
     /// Distance to back out before trying again, m.
@@ -129,6 +132,7 @@ impl Config {
         bounds.range("unknown_price", self.unknown_price, 0.0..=100.0);
         bounds.range("height_price", self.height_price, 0.0..=100.0);
         bounds.range("hysteresis_m", self.hysteresis_m, 0.0..=10.0);
+        bounds.range("look_price_m", self.look_price_m, 0.0..=100.0);
         bounds.range("patience_s", self.patience_s, 0.1..=30.0);
         bounds.range("back_out_m", self.back_out_m, 0.5..=50.0);
         bounds.range("attempts", self.attempts, 0..=100);

@@ -2,6 +2,7 @@
 
 use crate::Config;
 use crate::admission::{Admission, Tally};
+use crate::gaze::Gaze;
 use crate::library::{self, Index};
 use crate::rollout::{Rollout, STEP_S, Sample, Target};
 use crate::stuck::{LOOK_SHARE, Stage, Stuck};
@@ -10,6 +11,7 @@ use ipc_types::limits::Fence;
 use ipc_types::messages::{PlanMode, TrajectoryPoint};
 use ipc_types::{FlightTime, Point, Vector, World};
 use memory::View;
+use std::f64::consts::PI;
 
 /// What the planner plans from.
 #[derive(Clone, Copy, Debug)]
@@ -51,6 +53,17 @@ pub struct Plan {
     pub tally: Tally,
 }
 
+/// What the cheapest candidate asks for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Course {
+    /// There is none.
+    None,
+    /// Fly it.
+    Go(Index),
+    /// Look along its heading, rad, before it may be flown.
+    Look(f64),
+}
+
 /// Plans trajectories. Keeps the plan being flown, so that flicker does not change it.
 #[derive(Clone, Debug)]
 pub struct Planner {
@@ -62,6 +75,7 @@ pub struct Planner {
     goal: Option<Point<World>>,
     flying: Option<Index>,
     stuck: Stuck,
+    gaze: Gaze,
     replans: u64,
     scratch: Rollout,
     best: Rollout,
@@ -80,6 +94,8 @@ const SETTLE_MPS: f64 = 0.6;
 const BACK_OUT_MPS: f64 = 1.0;
 /// Longest time that backing out may take, s.
 const BACK_OUT_S: f64 = 20.0;
+/// Slower than this the vehicle looks before it sets out to where it does not look, m/s.
+const LOOK_FIRST_MPS: f64 = 0.9;
 /// Shortest move worth making, m: less is standing still.
 const WORTHWHILE_M: f64 = 0.3;
 
@@ -95,6 +111,7 @@ impl Planner {
             goal: None,
             flying: None,
             stuck: Stuck::new(),
+            gaze: Gaze::default(),
             replans: 0,
             scratch: Rollout::new(),
             best: Rollout::new(),
@@ -152,15 +169,28 @@ impl Planner {
         let path = self.way_flown(view);
         self.stuck.note_progress(situation.now, situation.position, to_goal_m, path, &self.config);
         if matches!(self.stuck.stage, Stage::BackingOut { .. }) {
+            self.gaze = Gaze::default();
             self.brake(from, situation.yaw_rad);
             return plan(PlanMode::Hold);
         }
-        let tally = self.choose(from, situation, view);
-        if tally.admissible == 0 {
-            let mode = self.no_plan(from, situation, view);
-            return Plan { tally, ..plan(mode) };
+        if let Some(target_rad) = self.gaze.turning(situation.now, situation.yaw_rad) {
+            self.turn(from, situation.yaw_rad, target_rad);
+            return plan(PlanMode::LookAround);
         }
-        self.stuck.moving();
+        let (tally, course) = self.choose(from, situation, view);
+        match course {
+            Course::None => {
+                let mode = self.no_plan(from, situation, view);
+                return Plan { tally, ..plan(mode) };
+            }
+            Course::Look(heading_rad) => {
+                self.stuck.moving();
+                self.gaze.look(heading_rad, situation.now, situation.position);
+                self.turn(from, situation.yaw_rad, heading_rad);
+                return Plan { tally, ..plan(PlanMode::LookAround) };
+            }
+            Course::Go(_) => self.stuck.moving(),
+        }
         self.write_points(situation.yaw_rad, |velocity| travel_heading(velocity, situation));
         Plan { tally, ..plan(PlanMode::Cruise) }
     }
@@ -182,45 +212,58 @@ impl Planner {
         &path[climb.map_or(0, |last| last + 1)..]
     }
 
-    /// Leaves the cheapest admissible candidate in `self.best`; returns what became of all.
-    fn choose(&mut self, from: Sample, situation: &Situation, view: &View) -> Tally {
+    /// Leaves the cheapest admissible candidate in `self.best`; returns what became of all, and which it is.
+    ///
+    /// A slow vehicle does not set out where its camera does not look: such a candidate is a wish to look there.
+    fn choose(&mut self, from: Sample, situation: &Situation, view: &View) -> (Tally, Course) {
         let (config, fence) = (&self.config, &self.fence);
         let admission = Admission { view, fence, config };
         let (goal, stuck, flying) = (situation.goal, &self.stuck, self.flying);
-        let (scratch, best) = (&mut self.scratch, &mut self.best);
+        let (scratch, best, gaze) = (&mut self.scratch, &mut self.best, &self.gaze);
         let height = self.home.z + config.cruise_height_m;
-        let (mut tally, mut cheapest, mut choice) = (Tally::default(), f64::INFINITY, None);
+        let (mut tally, mut cheapest, mut course) = (Tally::default(), f64::INFINITY, Course::None);
         let near_goal = from.position.distance(goal) < LEFT_M;
+        let looks_first = situation.velocity.norm() < LOOK_FIRST_MPS && !near_goal;
         library::for_each(config, from.position, goal, situation.cruise_mps, |index, target| {
             tally.candidates += 1;
             let is_flying = flying == Some(index);
             let threshold = if is_flying { config.gamma_high } else { config.gamma_low };
             scratch.fill(from, target, config.horizon_s, config);
             let end = scratch.end_of_going().position;
-            let stands_still = end.distance(from.position) < WORTHWHILE_M && !near_goal;
+            let way = end - from.position;
+            let stands_still = way.norm() < WORTHWHILE_M && !near_goal;
             // The price from below, before the map is asked: most candidates cannot win.
             let off_height = (end.z - height).abs() * config.height_price * f64::from(u8::from(!near_goal));
             let mut price = end.distance(goal) + off_height + stuck.price(end);
             price -= if is_flying { config.hysteresis_m } else { 0.0 };
+            let heading_rad = way.y.atan2(way.x);
+            let looks = looks_first && gaze.is_unseen(heading_rad, situation, view.half_view_rad());
+            price += if looks { config.look_price_m } else { 0.0 };
             if stands_still || price >= cheapest {
                 return;
             }
-            let Some(found) = tally.count(admission.admit(scratch, threshold)) else {
+            let found = if looks {
+                admission.promises(scratch, threshold)
+            } else {
+                tally.count(admission.admit(scratch, threshold))
+            };
+            let Some(found) = found else {
                 return;
             };
             let reach_m = config.tail_m.min(end.distance(goal));
             price += config.unknown_price * found.unknown_m;
             price += reach_m - admission.clear_m(end, goal, config.tail_m, threshold);
             if price < cheapest {
-                (cheapest, choice) = (price, Some(index));
+                (cheapest, course) = (price, if looks { Course::Look(heading_rad) } else { Course::Go(index) });
                 std::mem::swap(scratch, best);
             }
         });
-        if choice.is_some() && choice != self.flying {
+        let flies = if let Course::Go(index) = course { Some(index) } else { None };
+        if flies.is_some() && flies != self.flying {
             self.replans += 1;
         }
-        self.flying = choice;
-        tally
+        self.flying = flies;
+        (tally, course)
     }
 
     /// Nothing is admissible: brake, and let [`Stuck`] say what else.
@@ -229,17 +272,8 @@ impl Planner {
         self.stuck.no_plan(situation.now, situation.position, path, &self.config);
         match self.stuck.stage {
             Stage::LookingAround { .. } => {
-                let step = (LOOK_SHARE * self.config.yaw_rate_degps).to_radians() * STEP_S;
-                self.brake(from, situation.yaw_rad);
-                // At rest there is one sample; the turn needs more.
-                while self.points.len() < 12 {
-                    let Some(&last) = self.points.last() else { break };
-                    self.points.push(TrajectoryPoint { t_s: last.t_s + STEP_S, ..last });
-                }
-                for (index, point) in self.points.iter_mut().enumerate() {
-                    // Ahead of the heading, so that the tracker keeps turning at the rate.
-                    point.yaw_rad = wrap_angle_rad(situation.yaw_rad + step * (index + 6) as f64);
-                }
+                // Half a turn ahead of the heading, for ever: a whole turn.
+                self.turn(from, situation.yaw_rad, situation.yaw_rad + 0.99 * PI);
                 PlanMode::LookAround
             }
             Stage::GivenUp => {
@@ -288,6 +322,23 @@ impl Planner {
         self.flying = None;
         self.best.stop(from, self.config.hard_braking_mps2);
         self.write_points(yaw_rad, |_| yaw_rad);
+    }
+
+    /// Brakes, and turns towards a heading.
+    fn turn(&mut self, from: Sample, yaw_rad: f64, target_rad: f64) {
+        let step = (LOOK_SHARE * self.config.yaw_rate_degps).to_radians() * STEP_S;
+        self.brake(from, yaw_rad);
+        // At rest there is one sample; the turn needs more.
+        while self.points.len() < 12 {
+            let Some(&last) = self.points.last() else { break };
+            self.points.push(TrajectoryPoint { t_s: last.t_s + STEP_S, ..last });
+        }
+        let left_rad = wrap_angle_rad(target_rad - yaw_rad);
+        for (index, point) in self.points.iter_mut().enumerate() {
+            // Ahead of the heading, so that the tracker keeps turning at the rate.
+            let most = step * (index + 6) as f64;
+            point.yaw_rad = wrap_angle_rad(yaw_rad + left_rad.clamp(-most, most));
+        }
     }
 
     /// Turns `self.best` into points; the heading turns towards `heading` of the velocity at the turn rate.
@@ -350,6 +401,7 @@ pub(crate) mod tests {
             unknown_price: 0.3,
             height_price: 0.5,
             hysteresis_m: 0.6,
+            look_price_m: 0.5,
             patience_s: 1.0,
             back_out_m: 3.0,
             attempts: 4,
