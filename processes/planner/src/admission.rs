@@ -3,7 +3,7 @@
 use crate::Config;
 use crate::rollout::{Rollout, STEP_S, Sample, brake};
 use ipc_types::limits::Fence;
-use ipc_types::{Point, Vector, World};
+use ipc_types::{Point, World};
 use memory::{Occupancy, View};
 
 /// Spacing at which the start of a candidate is searched for the way out, m.
@@ -170,17 +170,5 @@ impl Admission<'_> {
     fn is_way_back_in(&self, from: Point<World>, to: Point<World>) -> bool {
         let step = to - from;
         self.fence.limit(from, step, f64::MIN_POSITIVE) == step && !self.fence.contains(from)
-    }
-
-    /// Length of the straight way from `from` towards `goal` up to the first occupied point, at most `reach_m`.
-    pub(crate) fn clear_m(&self, from: Point<World>, goal: Point<World>, reach_m: f64, threshold: f32) -> f64 {
-        let reach_m = reach_m.min(from.distance(goal));
-        let direction = (goal - from).direction().unwrap_or(Vector::ZERO);
-        // The look ahead only ranks candidates: coarser samples do.
-        let spacing = 2.0 * self.config.sample_m;
-        let samples = (reach_m / spacing) as usize;
-        let hit = (1..=samples)
-            .find(|&i| self.view.occupancy(from + direction * (i as f64 * spacing), threshold) == Occupancy::Occupied);
-        hit.map_or(reach_m, |i| (i - 1) as f64 * spacing)
     }
 }

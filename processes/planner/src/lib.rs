@@ -12,6 +12,7 @@
 //! Effort is bounded by the number of candidates and samples, never by time.
 
 mod admission;
+mod field;
 mod gaze;
 mod library;
 mod planner;
@@ -42,8 +43,6 @@ pub struct Config {
     pub climbs_deg: Vec<f64>,
     /// Length of a candidate before it brakes, s.
     pub horizon_s: f64,
-    /// Straight look beyond a candidate's end towards the goal, m.
-    pub tail_m: f64,
     /// Time for which a plan must be safe: replanning interval, latency and the controller's deadline, s.
     pub commit_s: f64,
     /// Time until a plan takes effect, s.
@@ -116,7 +115,6 @@ impl Config {
             ),
         );
         bounds.range("horizon_s", self.horizon_s, 0.3..=6.0);
-        bounds.range("tail_m", self.tail_m, 0.0..=50.0);
         bounds.range("commit_s", self.commit_s, 0.05..=2.0);
         bounds.range("lead_s", self.lead_s, 0.0..=0.5);
         bounds.range("state_deadline_s", self.state_deadline_s, 0.02..=1.0);

@@ -2,6 +2,7 @@
 
 use crate::Config;
 use crate::admission::{Admission, Tally};
+use crate::field::{Ask, Field};
 use crate::gaze::Gaze;
 use crate::library::{self, Index};
 use crate::rollout::{Rollout, STEP_S, Sample, Target};
@@ -76,6 +77,7 @@ pub struct Planner {
     flying: Option<Index>,
     stuck: Stuck,
     gaze: Gaze,
+    field: Field,
     replans: u64,
     scratch: Rollout,
     best: Rollout,
@@ -96,6 +98,8 @@ const BACK_OUT_MPS: f64 = 1.0;
 const BACK_OUT_S: f64 = 20.0;
 /// Slower than this the vehicle looks before it sets out to where it does not look, m/s.
 const LOOK_FIRST_MPS: f64 = 0.9;
+/// Price of a place from which no way to the goal is known, m.
+const NO_WAY_M: f64 = 20.0;
 /// Shortest move worth making, m: less is standing still.
 const WORTHWHILE_M: f64 = 0.3;
 
@@ -112,6 +116,7 @@ impl Planner {
             flying: None,
             stuck: Stuck::new(),
             gaze: Gaze::default(),
+            field: Field::new(),
             replans: 0,
             scratch: Rollout::new(),
             best: Rollout::new(),
@@ -219,6 +224,9 @@ impl Planner {
         let (config, fence) = (&self.config, &self.fence);
         let admission = Admission { view, fence, config };
         let (goal, stuck, flying) = (situation.goal, &self.stuck, self.flying);
+        let ask = Ask { threshold: config.gamma_low, unknown_price: config.unknown_price as f32 };
+        self.field.update(view, fence, from.position, goal, ask);
+        let field = &self.field;
         let (scratch, best, gaze) = (&mut self.scratch, &mut self.best, &self.gaze);
         let height = self.home.z + config.cruise_height_m;
         let (mut tally, mut cheapest, mut course) = (Tally::default(), f64::INFINITY, Course::None);
@@ -234,7 +242,9 @@ impl Planner {
             let stands_still = way.norm() < WORTHWHILE_M && !near_goal;
             // The price from below, before the map is asked: most candidates cannot win.
             let off_height = (end.z - height).abs() * config.height_price * f64::from(u8::from(!near_goal));
-            let mut price = end.distance(goal) + off_height + stuck.price(end);
+            // Where the grid knows no way, far is better than nothing.
+            let to_goal_m = field.to_goal_m(end).min(NO_WAY_M + end.distance(goal));
+            let mut price = to_goal_m + off_height + stuck.price(end);
             price -= if is_flying { config.hysteresis_m } else { 0.0 };
             let heading_rad = way.y.atan2(way.x);
             let looks = looks_first && gaze.is_unseen(heading_rad, situation, view.half_view_rad());
@@ -250,9 +260,7 @@ impl Planner {
             let Some(found) = found else {
                 return;
             };
-            let reach_m = config.tail_m.min(end.distance(goal));
             price += config.unknown_price * found.unknown_m;
-            price += reach_m - admission.clear_m(end, goal, config.tail_m, threshold);
             if price < cheapest {
                 (cheapest, course) = (price, if looks { Course::Look(heading_rad) } else { Course::Go(index) });
                 std::mem::swap(scratch, best);
@@ -385,7 +393,6 @@ pub(crate) mod tests {
             headings_deg: vec![0.0, 10.0, 20.0, 35.0, 50.0, 75.0, 100.0, 130.0],
             climbs_deg: vec![0.0, 15.0],
             horizon_s: 1.8,
-            tail_m: 8.0,
             commit_s: 0.5,
             lead_s: 0.06,
             state_deadline_s: 0.2,
@@ -408,10 +415,10 @@ pub(crate) mod tests {
         }
     }
 
-    const FENCE: Fence = Fence { least_m: [-20.0, -50.0, 0.5], most_m: [100.0, 50.0, 6.0] };
+    pub(crate) const FENCE: Fence = Fence { least_m: [-20.0, -50.0, 0.5], most_m: [100.0, 50.0, 6.0] };
 
     /// A map that knows nothing beyond a home cylinder of the given radius.
-    fn home_only(radius_m: f64) -> View {
+    pub(crate) fn home_only(radius_m: f64) -> View {
         let rule = FreeSpaceRule {
             home_radius_m: radius_m,
             home_height_m: 10.0,

@@ -1,0 +1,214 @@
+//! How far it is to the goal around what is known to stand in the way.
+//!
+//! A candidate is worth what remains to be flown from its end. The straight distance leads into every pocket; this
+//! field is the length of the shortest way over a level grid around the vehicle, from whose rim it goes on straight.
+//! What was once seen occupied and has left the map since is remembered as dear, not as closed: errors and drift
+//! must not wall the vehicle in. The field prices candidates and admits none: that is [`crate::admission`]'s alone.
+
+use ipc_types::limits::Fence;
+use ipc_types::{Point, World};
+use memory::{Occupancy, View};
+use std::cmp::Reverse;
+use std::collections::BinaryHeap;
+
+/// Side of a cell, m.
+const CELL_M: f64 = 0.4;
+/// Cells to every side of the vehicle's.
+const HALF: i64 = 25;
+/// Cells along a side of the grid.
+const SIDE: usize = 2 * HALF as usize + 1;
+/// Cells along a side of what is remembered, which wraps around.
+const REMEMBERED: usize = 160;
+/// Price of a cell that was occupied when last seen, relative to a free one.
+const ONCE_OCCUPIED: f32 = 5.0;
+
+/// What a cell was when it was last known.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Memory {
+    cell: (i64, i64),
+    occupied: bool,
+}
+
+/// Cost-to-go around the vehicle.
+#[derive(Clone, Debug)]
+pub(crate) struct Field {
+    first: (i64, i64),
+    /// Price of crossing a cell relative to a free one; infinite where closed.
+    price: Vec<f32>,
+    /// Length of the way to the goal, m.
+    to_goal_m: Vec<f32>,
+    queue: BinaryHeap<Reverse<(u32, u32)>>,
+    memory: Vec<Option<Memory>>,
+}
+
+impl Field {
+    pub(crate) fn new() -> Self {
+        let cells = SIDE * SIDE;
+        Self {
+            first: (0, 0),
+            price: vec![1.0; cells],
+            to_goal_m: vec![f32::INFINITY; cells],
+            queue: BinaryHeap::with_capacity(9 * cells),
+            memory: vec![None; REMEMBERED * REMEMBERED],
+        }
+    }
+
+    /// Asks the map anew around `at`, at its height.
+    pub(crate) fn update(&mut self, view: &View, fence: &Fence, at: Point<World>, goal: Point<World>, ask: Ask) {
+        let (x, y) = cell_of(at);
+        self.first = (x - HALF, y - HALF);
+        for index in 0..self.price.len() {
+            let cell = self.cell(index);
+            let place = centre(cell, at.z);
+            self.price[index] = if fence.contains(place) {
+                let seen = view.occupancy(place, ask.threshold);
+                self.price_of(cell, seen, ask.unknown_price)
+            } else {
+                f32::INFINITY
+            };
+        }
+        self.spread(goal);
+    }
+
+    fn cell(&self, index: usize) -> (i64, i64) {
+        (self.first.0 + (index % SIDE) as i64, self.first.1 + (index / SIDE) as i64)
+    }
+
+    fn price_of(&mut self, cell: (i64, i64), seen: Occupancy, unknown_price: f32) -> f32 {
+        let side = REMEMBERED as i64;
+        let slot = (cell.1.rem_euclid(side) * side + cell.0.rem_euclid(side)) as usize;
+        let occupied = match seen {
+            Occupancy::Free => false,
+            Occupancy::Occupied => true,
+            Occupancy::Unknown(_) => {
+                return match self.memory[slot].filter(|memory| memory.cell == cell) {
+                    Some(Memory { occupied: true, .. }) => ONCE_OCCUPIED,
+                    Some(_) => 1.0,
+                    None => 1.0 + unknown_price,
+                };
+            }
+        };
+        self.memory[slot] = Some(Memory { cell, occupied });
+        if occupied { f32::INFINITY } else { 1.0 }
+    }
+
+    /// Dijkstra's algorithm from the goal and the grid's rim inwards.
+    fn spread(&mut self, goal: Point<World>) {
+        self.to_goal_m.fill(f32::INFINITY);
+        self.queue.clear();
+        let goal_cell = cell_of(goal);
+        for index in 0..self.price.len() {
+            let (column, row) = (index % SIDE, index / SIDE);
+            let is_rim = column == 0 || row == 0 || column == SIDE - 1 || row == SIDE - 1;
+            let cell = self.cell(index);
+            if cell == goal_cell || (is_rim && self.price[index].is_finite()) {
+                self.reach(index, centre(cell, goal.z).distance(goal) as f32);
+            }
+        }
+        while let Some(Reverse((bits, index))) = self.queue.pop() {
+            let (so_far_m, index) = (f32::from_bits(bits), index as usize);
+            if so_far_m > self.to_goal_m[index] {
+                continue;
+            }
+            let (column, row) = ((index % SIDE) as i64, (index / SIDE) as i64);
+            for (right, down) in [(1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (1, -1), (-1, 1), (-1, -1)] {
+                let (column, row) = (column + right, row + down);
+                if column < 0 || row < 0 || column >= SIDE as i64 || row >= SIDE as i64 {
+                    continue;
+                }
+                let next = row as usize * SIDE + column as usize;
+                // The goal's own cell may be closed; it still counts from there.
+                let here = if self.price[index].is_finite() { self.price[index] } else { 1.0 };
+                let step_m = CELL_M as f32 * if right * down == 0 { 1.0 } else { std::f32::consts::SQRT_2 };
+                self.reach(next, so_far_m + step_m * 0.5 * (here + self.price[next]));
+            }
+        }
+    }
+
+    fn reach(&mut self, index: usize, to_goal_m: f32) {
+        if to_goal_m < self.to_goal_m[index] {
+            self.to_goal_m[index] = to_goal_m;
+            // Positive floats order as their bits do.
+            self.queue.push(Reverse((to_goal_m.to_bits(), index as u32)));
+        }
+    }
+
+    /// Length of the way from a point to the goal, m; infinite where the grid knows none.
+    pub(crate) fn to_goal_m(&self, point: Point<World>) -> f64 {
+        let (x, y) = cell_of(point);
+        let side = 0..SIDE as i64;
+        let mut least = f64::INFINITY;
+        for (right, down) in (-1..=1).flat_map(|right| (-1..=1).map(move |down| (right, down))) {
+            let (column, row) = (x + right - self.first.0, y + down - self.first.1);
+            if side.contains(&column) && side.contains(&row) {
+                let cost_m = f64::from(self.to_goal_m[row as usize * SIDE + column as usize]);
+                least = least.min(cost_m + centre((x + right, y + down), point.z).distance(point));
+            }
+        }
+        least
+    }
+}
+
+/// How the map is asked.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Ask {
+    /// γ.
+    pub(crate) threshold: f32,
+    /// What an unknown metre costs beyond a free one.
+    pub(crate) unknown_price: f32,
+}
+
+fn cell_of(point: Point<World>) -> (i64, i64) {
+    ((point.x / CELL_M).floor() as i64, (point.y / CELL_M).floor() as i64)
+}
+
+fn centre(cell: (i64, i64), z: f64) -> Point<World> {
+    Point::new((cell.0 as f64 + 0.5) * CELL_M, (cell.1 as f64 + 0.5) * CELL_M, z)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::planner::tests::{FENCE, home_only};
+
+    const ASK: Ask = Ask { threshold: 0.9, unknown_price: 0.3 };
+    const GOAL: Point<World> = Point::new(40.0, 0.0, 2.0);
+    const AT: Point<World> = Point::new(0.0, 0.0, 2.0);
+
+    #[test]
+    fn it_is_the_straight_distance_where_all_is_free() {
+        let mut field = Field::new();
+        field.update(&home_only(200.0), &FENCE, AT, GOAL, ASK);
+        for point in [AT, Point::new(5.0, 3.0, 2.0), Point::new(-4.0, -6.0, 2.0)] {
+            let (found, straight) = (field.to_goal_m(point), point.distance(GOAL));
+            assert!((straight - 0.1..straight * 1.09).contains(&found), "{point:?}: {found}, straight {straight}");
+        }
+        assert!(field.to_goal_m(Point::new(30.0, 0.0, 2.0)).is_infinite(), "beyond the grid");
+    }
+
+    #[test]
+    fn it_leads_around_a_fence_and_unknown_space_is_dearer() {
+        let mut field = Field::new();
+        // The fence ends just before the goal's side except at y > 3.
+        field.update(&home_only(3.0), &FENCE, AT, GOAL, ASK);
+        let known = field.to_goal_m(AT);
+        assert!(known > 40.0 + 0.2 * (10.0 - 3.0), "{known}");
+        let narrow = Fence { most_m: [6.0, 50.0, 6.0], ..FENCE };
+        field.update(&home_only(200.0), &narrow, AT, GOAL, ASK);
+        assert!(field.to_goal_m(AT) > known, "the rim towards the goal is closed");
+    }
+
+    #[test]
+    fn what_was_occupied_stays_dear_and_hostile_points_are_far() {
+        let mut field = Field::new();
+        let cell = cell_of(Point::new(2.0, 0.0, 2.0));
+        assert!(field.price_of(cell, Occupancy::Occupied, 0.3).is_infinite());
+        let unknown = Occupancy::Unknown(memory::Unknown::OutOfView);
+        assert_eq!(field.price_of(cell, unknown, 0.3), ONCE_OCCUPIED);
+        assert_eq!(field.price_of((cell.0 + REMEMBERED as i64, cell.1), unknown, 0.3), 1.3, "another cell's slot");
+        assert_eq!(field.price_of(cell, Occupancy::Free, 0.3), 1.0);
+        assert_eq!(field.price_of(cell, unknown, 0.3), 1.0);
+        field.update(&home_only(200.0), &FENCE, AT, GOAL, ASK);
+        assert!(field.to_goal_m(Point::new(f64::NAN, 1e300, 0.0)).is_infinite());
+    }
+}
