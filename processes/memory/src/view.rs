@@ -343,6 +343,23 @@ mod tests {
     }
 
     #[test]
+    fn ten_views_too_far_to_resolve_a_branch_do_not_outvote_one_that_is_near() {
+        let mut view = view();
+        // From 2 m away something is seen; from 4.5 m to 8 m away all looks free up to 20 m.
+        wall(&mut view, 0.0, 1.8, 2.6);
+        (0..10).for_each(|i| wall(&mut view, -2.5 - 0.35 * f64::from(i), 20.0, 25.0));
+        assert_eq!(at(&view, 2.0), Occupancy::Occupied);
+    }
+
+    #[test]
+    fn views_from_which_a_point_is_hidden_do_not_clear_it() {
+        let mut view = view();
+        wall(&mut view, -8.0, 9.0, 12.0);
+        (0..8).for_each(|i| wall(&mut view, -1.0 - 0.1 * f64::from(i), 1.0, 1.5));
+        assert_eq!(at(&view, 2.0), Occupancy::Occupied);
+    }
+
+    #[test]
     fn evidence_of_free_space() {
         let mut view = view();
         view.free_space_mut().set_path([Point::new(3.0, 0.0, 0.0)]);

@@ -172,3 +172,57 @@ impl Admission<'_> {
         self.fence.limit(from, step, f64::MIN_POSITIVE) == step && !self.fence.contains(from)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::planner::tests::{FENCE, RIG, config, home_only};
+    use crate::rollout::Target;
+    use ipc_types::{Body, Pose, Rotation, Vector};
+
+    /// All is free, but for a wall across the x axis whose margin begins at 4 m.
+    fn before_a_wall() -> View {
+        let mut view = home_only(200.0);
+        let value = |depth_m: f64| (RIG.disparity_px(depth_m) * 64.0) as u16;
+        let planes = [value(4.0), value(6.0), value(0.3)];
+        let pixels: Vec<u16> = planes.iter().flat_map(|&plane| vec![plane; RIG.pixels()]).collect();
+        let rotation = Rotation::<World, Body>::IDENTITY * Rotation::camera_mount(0.0);
+        assert!(view.push(Pose { rotation, translation: Vector::new(0.0, 0.0, 2.0) }, pixels.into()));
+        view
+    }
+
+    fn admit(x_m: f64, velocity: Vector<World>, to: Vector<World>) -> Result<Admitted, Refusal> {
+        let (config, view) = (config(), before_a_wall());
+        let admission = Admission { view: &view, fence: &FENCE, config: &config };
+        let mut rollout = Rollout::new();
+        let from = Sample { position: Point::new(x_m, 0.0, 2.0), velocity };
+        rollout.fill(from, Target::Velocity(to), 1.0, &config);
+        admission.admit(&rollout, config.gamma_low)
+    }
+
+    #[test]
+    fn a_vehicle_inside_a_margin_may_leave_it_and_go_no_deeper() {
+        let (out, deeper, along) =
+            (Vector::new(-1.5, 0.0, 0.0), Vector::new(1.5, 0.0, 0.0), Vector::new(0.0, 1.5, 0.0));
+        assert!(admit(4.15, Vector::ZERO, out).is_ok());
+        assert_eq!(admit(4.15, Vector::ZERO, deeper), Err(Refusal::Occupied));
+        assert_eq!(admit(4.15, Vector::ZERO, along), Err(Refusal::Occupied));
+        assert_eq!(admit(4.6, Vector::ZERO, out), Err(Refusal::Occupied), "too deep for the allowance");
+    }
+
+    #[test]
+    fn what_cannot_stop_before_the_margin_is_refused() {
+        let ahead = Vector::new(4.0, 0.0, 0.0);
+        assert!(admit(-1.0, ahead, Vector::new(-1.0, 0.0, 0.0)).is_ok(), "stops in time");
+        assert_eq!(admit(1.9, ahead, Vector::new(-1.0, 0.0, 0.0)), Err(Refusal::Occupied), "does not");
+    }
+
+    #[test]
+    fn the_tally_knows_why() {
+        let mut tally = Tally::default();
+        for found in [Ok(Admitted { unknown_m: 0.0 }), Err(Refusal::Unknown), Err(Refusal::Outside)] {
+            assert_eq!(tally.count(found).is_some(), found.is_ok());
+        }
+        assert_eq!((tally.admissible, tally.occupied, tally.unknown, tally.outside), (1, 0, 1, 1));
+    }
+}

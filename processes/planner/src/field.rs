@@ -187,9 +187,8 @@ mod tests {
     }
 
     #[test]
-    fn it_leads_around_a_fence_and_unknown_space_is_dearer() {
+    fn unknown_space_is_dear_and_a_closed_rim_dearer() {
         let mut field = Field::new();
-        // The fence ends just before the goal's side except at y > 3.
         field.update(&home_only(3.0), &FENCE, AT, GOAL, ASK);
         let known = field.to_goal_m(AT);
         assert!(known > 40.0 + 0.2 * (10.0 - 3.0), "{known}");

@@ -61,3 +61,39 @@ impl Gaze {
         !covers(situation.yaw_rad) && !self.looked.iter().filter(remembers).any(|look| covers(look.heading_rad))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::planner::tests::situation;
+    use ipc_types::Vector;
+
+    const HALF_VIEW_RAD: f64 = 0.6;
+
+    #[test]
+    fn what_is_out_of_view_is_looked_at_once() {
+        let here = Point::new(0.0, 0.0, 2.0);
+        let at = |now: f64, place| situation(now, place, Vector::ZERO);
+        let mut gaze = Gaze::default();
+        assert!(!gaze.is_unseen(0.3, &at(0.0, here), HALF_VIEW_RAD), "in view");
+        assert!(gaze.is_unseen(1.5, &at(0.0, here), HALF_VIEW_RAD));
+        assert!(gaze.is_unseen(-3.1, &at(0.0, here), HALF_VIEW_RAD));
+        gaze.look(1.5, FlightTime::ZERO, here);
+        assert_eq!(gaze.turning(FlightTime::from_secs_f64(0.5), 0.4), Some(1.5));
+        assert_eq!(gaze.turning(FlightTime::from_secs_f64(1.0), 1.45), None, "aligned");
+        assert!(!gaze.is_unseen(1.7, &at(2.0, here), HALF_VIEW_RAD), "looked at");
+        assert!(gaze.is_unseen(-1.5, &at(2.0, here), HALF_VIEW_RAD), "the other side was not");
+        assert!(gaze.is_unseen(1.7, &at(30.0, here), HALF_VIEW_RAD), "long ago");
+        assert!(gaze.is_unseen(1.7, &at(2.0, Point::new(2.0, 0.0, 2.0)), HALF_VIEW_RAD), "elsewhere");
+    }
+
+    #[test]
+    fn a_turn_that_does_not_come_about_ends() {
+        let mut gaze = Gaze::default();
+        gaze.look(3.0, FlightTime::ZERO, Point::ZERO);
+        let turning: Vec<_> =
+            (0..100).map(|tick| gaze.turning(FlightTime::from_secs_f64(f64::from(tick) * 0.1), 0.0)).collect();
+        assert_eq!(turning.first(), Some(&Some(3.0)));
+        assert_eq!(turning.last(), Some(&None));
+    }
+}

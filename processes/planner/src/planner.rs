@@ -417,6 +417,16 @@ pub(crate) mod tests {
 
     pub(crate) const FENCE: Fence = Fence { least_m: [-20.0, -50.0, 0.5], most_m: [100.0, 50.0, 6.0] };
 
+    pub(crate) const RIG: StereoRig = StereoRig {
+        width_px: 32,
+        height_px: 24,
+        focal_px: 20.0,
+        cx_px: 15.5,
+        cy_px: 11.5,
+        baseline_m: 0.3,
+        doffs_px: 0.0,
+    };
+
     /// A map that knows nothing beyond a home cylinder of the given radius.
     pub(crate) fn home_only(radius_m: f64) -> View {
         let rule = FreeSpaceRule {
@@ -425,20 +435,11 @@ pub(crate) mod tests {
             swept_radius_m: 0.5,
             background_parallax_m: 0.5,
         };
-        let rig = StereoRig {
-            width_px: 32,
-            height_px: 24,
-            focal_px: 20.0,
-            cx_px: 15.5,
-            cy_px: 11.5,
-            baseline_m: 0.3,
-            doffs_px: 0.0,
-        };
         let noise = NoiseModel { sigma_px: 0.5, lambda_near: 3.0, lambda_far: 1.0, near_px: 10.0, far_px: 4.0 };
-        View::new(rig, noise, FreeSpace::new(rule, Point::ZERO))
+        View::new(RIG, noise, FreeSpace::new(rule, Point::ZERO))
     }
 
-    fn situation(now: f64, position: Point<World>, velocity: Vector<World>) -> Situation {
+    pub(crate) fn situation(now: f64, position: Point<World>, velocity: Vector<World>) -> Situation {
         let now = FlightTime::from_secs_f64(now);
         let goal = Point::new(60.0, 0.0, 2.0);
         Situation { now, state_valid: now, image_valid: now, position, velocity, yaw_rad: 0.0, goal, cruise_mps: 4.0 }
