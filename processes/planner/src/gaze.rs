@@ -51,15 +51,18 @@ impl Gaze {
         Some(turn.heading_rad)
     }
 
-    /// Whether a heading is out of the camera's view, and was not looked at from here.
-    pub(crate) fn is_unseen(&self, heading_rad: f64, situation: &Situation, half_view_rad: f64) -> bool {
-        let seen = SEEN_SHARE * half_view_rad;
-        let covers = |other_rad: f64| wrap_angle_rad(other_rad - heading_rad).abs() < seen;
+    /// Whether a heading was looked at from here.
+    pub(crate) fn has_looked(&self, heading_rad: f64, situation: &Situation, half_view_rad: f64) -> bool {
         let remembers = |look: &&Look| {
             situation.now.seconds_since(look.since) < FORGET_S && look.at.distance(situation.position) < FORGET_M
         };
-        !covers(situation.yaw_rad) && !self.looked.iter().filter(remembers).any(|look| covers(look.heading_rad))
+        self.looked.iter().filter(remembers).any(|look| is_seen(heading_rad, look.heading_rad, half_view_rad))
     }
+}
+
+/// Whether a heading is within the view of a camera that looks along `yaw_rad`.
+pub(crate) fn is_seen(heading_rad: f64, yaw_rad: f64, half_view_rad: f64) -> bool {
+    wrap_angle_rad(yaw_rad - heading_rad).abs() < SEEN_SHARE * half_view_rad
 }
 
 #[cfg(test)]
@@ -71,20 +74,20 @@ mod tests {
     const HALF_VIEW_RAD: f64 = 0.6;
 
     #[test]
-    fn what_is_out_of_view_is_looked_at_once() {
+    fn what_was_looked_at_is_remembered_for_a_while() {
         let here = Point::new(0.0, 0.0, 2.0);
         let at = |now: f64, place| situation(now, place, Vector::ZERO);
         let mut gaze = Gaze::default();
-        assert!(!gaze.is_unseen(0.3, &at(0.0, here), HALF_VIEW_RAD), "in view");
-        assert!(gaze.is_unseen(1.5, &at(0.0, here), HALF_VIEW_RAD));
-        assert!(gaze.is_unseen(-3.1, &at(0.0, here), HALF_VIEW_RAD));
+        assert!(is_seen(0.3, 0.0, HALF_VIEW_RAD) && !is_seen(1.5, 0.0, HALF_VIEW_RAD));
+        assert!(is_seen(-3.1, 3.1, HALF_VIEW_RAD), "across the wrap");
+        assert!(!gaze.has_looked(1.5, &at(0.0, here), HALF_VIEW_RAD));
         gaze.look(1.5, FlightTime::ZERO, here);
         assert_eq!(gaze.turning(FlightTime::from_secs_f64(0.5), 0.4), Some(1.5));
         assert_eq!(gaze.turning(FlightTime::from_secs_f64(1.0), 1.45), None, "aligned");
-        assert!(!gaze.is_unseen(1.7, &at(2.0, here), HALF_VIEW_RAD), "looked at");
-        assert!(gaze.is_unseen(-1.5, &at(2.0, here), HALF_VIEW_RAD), "the other side was not");
-        assert!(gaze.is_unseen(1.7, &at(30.0, here), HALF_VIEW_RAD), "long ago");
-        assert!(gaze.is_unseen(1.7, &at(2.0, Point::new(2.0, 0.0, 2.0)), HALF_VIEW_RAD), "elsewhere");
+        assert!(gaze.has_looked(1.7, &at(2.0, here), HALF_VIEW_RAD));
+        assert!(!gaze.has_looked(-1.5, &at(2.0, here), HALF_VIEW_RAD), "the other side");
+        assert!(!gaze.has_looked(1.7, &at(30.0, here), HALF_VIEW_RAD), "long ago");
+        assert!(!gaze.has_looked(1.7, &at(2.0, Point::new(2.0, 0.0, 2.0)), HALF_VIEW_RAD), "elsewhere");
     }
 
     #[test]

@@ -3,7 +3,7 @@
 use crate::Config;
 use crate::admission::{Admission, Tally};
 use crate::field::{Ask, Field};
-use crate::gaze::Gaze;
+use crate::gaze::{Gaze, is_seen};
 use crate::library::{self, Index};
 use crate::rollout::{Rollout, STEP_S, Sample, Target};
 use crate::stuck::{LOOK_SHARE, Stage, Stuck};
@@ -179,6 +179,7 @@ impl Planner {
             return plan(PlanMode::Hold);
         }
         if let Some(target_rad) = self.gaze.turning(situation.now, situation.yaw_rad) {
+            self.stuck.looking(situation.now);
             self.turn(from, situation.yaw_rad, target_rad);
             return plan(PlanMode::LookAround);
         }
@@ -247,12 +248,13 @@ impl Planner {
             let mut price = to_goal_m + off_height + stuck.price(end);
             price -= if is_flying { config.hysteresis_m } else { 0.0 };
             let heading_rad = way.y.atan2(way.x);
-            let looks = looks_first && gaze.is_unseen(heading_rad, situation, view.half_view_rad());
+            let looks = looks_first && !is_seen(heading_rad, situation.yaw_rad, view.half_view_rad());
+            let is_promise = looks && !gaze.has_looked(heading_rad, situation, view.half_view_rad());
             price += if looks { config.look_price_m } else { 0.0 };
             if stands_still || price >= cheapest {
                 return;
             }
-            let found = if looks {
+            let found = if is_promise {
                 admission.promises(scratch, threshold)
             } else {
                 tally.count(admission.admit(scratch, threshold))

@@ -11,6 +11,8 @@ const REPULSION_M: f64 = 5.0;
 const DITHERING_S: f64 = 6.0;
 /// See above, m.
 const DITHERING_M: f64 = 2.0;
+/// Most that one plan of looking defers dithering by, s: plans are that far apart.
+const LOOK_CREDIT_S: f64 = 0.2;
 /// Flying about without getting nearer for this long marks the place, s.
 const DETOUR_S: f64 = 30.0;
 
@@ -47,6 +49,8 @@ pub(crate) struct Stuck {
     progressed: FlightTime,
     /// Where the vehicle was when it last left the neighbourhood, and when.
     anchor: Option<(FlightTime, Point<World>)>,
+    /// When the vehicle last turned its camera on purpose.
+    looked: FlightTime,
     /// The way back out: places of the path flown, the next one last.
     way_back: Vec<Point<World>>,
 }
@@ -59,6 +63,7 @@ impl Stuck {
             nearest_m: f64::INFINITY,
             progressed: FlightTime::ZERO,
             anchor: None,
+            looked: FlightTime::ZERO,
             way_back: Vec::new(),
         }
     }
@@ -91,6 +96,15 @@ impl Stuck {
             self.anchor = Some((now, at));
             self.retreat(now, at, path, config);
         }
+    }
+
+    /// The vehicle turns its camera on purpose: that is not dithering.
+    pub(crate) fn looking(&mut self, now: FlightTime) {
+        if let Some((since, _)) = &mut self.anchor {
+            let credit_s = now.seconds_since(self.looked).clamp(0.0, LOOK_CREDIT_S);
+            *since = *since + std::time::Duration::from_secs_f64(credit_s);
+        }
+        self.looked = now;
     }
 
     /// An admissible plan was found.
