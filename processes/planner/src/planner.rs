@@ -100,6 +100,8 @@ const BACK_OUT_S: f64 = 20.0;
 const LOOK_FIRST_MPS: f64 = 0.9;
 /// Price of a place from which no way to the goal is known, m.
 const NO_WAY_M: f64 = 20.0;
+/// Most looks from one place.
+const LOOKS: usize = 6;
 /// Shortest move worth making, m: less is standing still.
 const WORTHWHILE_M: f64 = 0.3;
 
@@ -232,7 +234,10 @@ impl Planner {
         let height = self.home.z + config.cruise_height_m;
         let (mut tally, mut cheapest, mut course) = (Tally::default(), f64::INFINITY, Course::None);
         let near_goal = from.position.distance(goal) < LEFT_M;
-        let looks_first = situation.velocity.norm() < LOOK_FIRST_MPS && !near_goal;
+        let looked = gaze.looks(situation);
+        let looks_first = situation.velocity.norm() < LOOK_FIRST_MPS && !near_goal && looked < LOOKS;
+        // Every look from here makes the next one dearer, or the vehicle would never be done with looking.
+        let look_price_m = config.look_price_m * (1 + looked) as f64;
         library::for_each(config, from.position, goal, situation.cruise_mps, |index, target| {
             tally.candidates += 1;
             let is_flying = flying == Some(index);
@@ -250,7 +255,7 @@ impl Planner {
             let heading_rad = way.y.atan2(way.x);
             let looks = looks_first && !is_seen(heading_rad, situation.yaw_rad, view.half_view_rad());
             let is_promise = looks && !gaze.has_looked(heading_rad, situation, view.half_view_rad());
-            price += if looks { config.look_price_m } else { 0.0 };
+            price += if looks { look_price_m } else { 0.0 };
             if stands_still || price >= cheapest {
                 return;
             }
