@@ -57,9 +57,9 @@ fn without_avoidance_nine_of_ten_of_them_end_in_a_collision() {
 
 /// The ipc driver against the lockstep driver.
 #[test]
-fn three_forests_end_alike_as_processes_and_in_lockstep() {
+fn ten_forests_end_alike_as_processes_and_in_lockstep() {
     let _alone = real_time();
-    let flown = on_two_threads(1..=3, |seed| {
+    let flown = on_two_threads(1..=10, |seed| {
         let run = Run::new(&format!("alike{seed}"));
         let flown = run.fly(&["--seed", &seed.to_string(), "--speed", "4"]);
         run.assert_nothing_left();

@@ -1,7 +1,7 @@
 //! The pure core: one disparity image in, three planes out, in place.
 
 use crate::Config;
-use crate::measured::{column_keys, distance_to_unmeasured, fill_holes, near_limit};
+use crate::measured::{Body, Clear, column_keys, distance_to_unmeasured, fill_holes, near_limit};
 use crate::range_max::RangeMax;
 use crate::tables::Tables;
 use crate::window::Axis;
@@ -36,6 +36,7 @@ pub struct Expansion {
 pub struct Expander {
     rig: StereoRig,
     config: Config,
+    body: Body,
     tables: Tables,
     rows: RangeMax,
     columns: RangeMax,
@@ -58,12 +59,19 @@ impl Expander {
         let scratch = || vec![0; width * height];
         let row_axis = Axis { focal_px, centre_px: rig.cx_px as f32, length_px: width };
         let column_axis = Axis { focal_px, centre_px: rig.cy_px as f32, length_px: height };
+        let body = Body { radius_m: config.body_radius_m, half_height_m: config.body_half_height_m };
         let border_limit = |index: usize| {
             let (row, column) = (index / width, index % width);
-            let limit =
-                |axis: Axis, pixel, extent_m| near_limit(&rig, extent_m, axis.to_border(pixel), axis.slope(pixel));
-            let border =
-                limit(row_axis, column, config.body_radius_m).min(limit(column_axis, row, config.body_half_height_m));
+            let border = near_limit(
+                &rig,
+                body,
+                Clear {
+                    across_px: f32::from(row_axis.to_border(column)),
+                    up_px: f32::from(column_axis.to_border(row)),
+                    x: row_axis.slope(column),
+                    y: column_axis.slope(row),
+                },
+            );
             // A pixel's match lies to the left in the right image, at most as far as that image goes.
             border.min(encode(sensed_px.min(column as u32) as f32))
         };
@@ -79,6 +87,7 @@ impl Expander {
             keys: scratch(),
             distance: scratch(),
             rig,
+            body,
             config,
         }
     }
@@ -129,13 +138,15 @@ impl Expander {
     /// The image vouches no nearer than its border and its unmeasured pixels let the body be seen whole.
     fn write_near_limits(&mut self, near: &mut [u16]) {
         let width = self.rig.width_px as usize;
-        distance_to_unmeasured(&self.keys, width, &mut self.distance);
+        let stretch = (self.body.radius_m / self.body.half_height_m).max(1.0);
+        distance_to_unmeasured(&self.keys, width, stretch, &mut self.distance);
         let lines = near.chunks_exact_mut(width).zip(self.distance.chunks_exact(width));
         for (row, ((near, distance), border)) in lines.zip(self.border_limits.chunks_exact(width)).enumerate() {
             let y = self.column_axis.slope(row);
             for (column, ((near, &clear_px), &border)) in near.iter_mut().zip(distance).zip(border).enumerate() {
-                let x = self.row_axis.slope(column).max(y);
-                *near = near_limit(&self.rig, self.config.body_radius_m, clear_px, x).min(border);
+                let across_px = f32::from(clear_px);
+                let clear = Clear { across_px, up_px: across_px / stretch, x: self.row_axis.slope(column), y };
+                *near = near_limit(&self.rig, self.body, clear).min(border);
             }
         }
     }

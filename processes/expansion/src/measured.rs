@@ -72,48 +72,78 @@ pub(crate) fn column_keys(column: &[u16], tables: &Tables, rig: &StereoRig, rule
     }
 }
 
-/// Chebyshev distance in pixels to the nearest pixel without a key (`u16::MAX` where there is none).
-pub(crate) fn distance_to_unmeasured(keys: &[u16], width: usize, distance: &mut [u16]) {
+/// Distance in pixels to the nearest pixel without a key (`u16::MAX` where there is none): the larger of the
+/// horizontal distance and `stretch` (at least 1) times the vertical one, never more than that. A body that is wider
+/// than high by `stretch` and fits sideways then fits upwards too.
+pub(crate) fn distance_to_unmeasured(keys: &[u16], width: usize, stretch: f32, distance: &mut [u16]) {
     let height = keys.len() / width;
+    // Rows lie whole pixels apart that sum up to the stretched height, so that distances stay whole too.
+    let step = |row: usize| ((row as f32 * stretch) as usize - ((row - 1) as f32 * stretch) as usize).max(1);
     for row in 0..height {
         for column in 0..width {
             let index = row * width + column;
-            let left = if column > 0 { distance[index - 1] } else { u16::MAX };
-            let above = if row > 0 { least_of_three(distance, width, row - 1, column) } else { u16::MAX };
-            distance[index] = if keys[index] == 0 { 0 } else { left.min(above).saturating_add(1) };
+            let left = if column > 0 { distance[index - 1].saturating_add(1) } else { u16::MAX };
+            let above = if row > 0 { from_row(distance, width, row - 1, column, step(row)) } else { u16::MAX };
+            distance[index] = if keys[index] == 0 { 0 } else { left.min(above) };
         }
     }
     for row in (0..height).rev() {
         for column in (0..width).rev() {
             let index = row * width + column;
-            let right = if column + 1 < width { distance[index + 1] } else { u16::MAX };
-            let below = if row + 1 < height { least_of_three(distance, width, row + 1, column) } else { u16::MAX };
-            distance[index] = distance[index].min(right.min(below).saturating_add(1));
+            let right = if column + 1 < width { distance[index + 1].saturating_add(1) } else { u16::MAX };
+            let below =
+                if row + 1 < height { from_row(distance, width, row + 1, column, step(row + 1)) } else { u16::MAX };
+            distance[index] = distance[index].min(right.min(below));
         }
     }
+    // The sum of rounded steps exceeds the stretched height by less than a pixel.
+    if stretch.fract() != 0.0 {
+        distance.iter_mut().filter(|distance| **distance > 1).for_each(|distance| *distance -= 1);
+    }
 }
 
-/// Least of a pixel and its two neighbours in its row.
+/// Least distance by way of a row `step` away, from which that many columns to either side are as near.
 #[inline(always)]
-fn least_of_three(distance: &[u16], width: usize, row: usize, column: usize) -> u16 {
+fn from_row(distance: &[u16], width: usize, row: usize, column: usize, step: usize) -> u16 {
     let line = &distance[row * width..(row + 1) * width];
-    let (from, to) = (column.saturating_sub(1), (column + 2).min(width));
-    line[from..to].iter().copied().fold(u16::MAX, u16::min)
+    let (from, to) = (column.saturating_sub(step), (column + step + 1).min(width));
+    line[from..to].iter().copied().fold(u16::MAX, u16::min).saturating_add(step as u16)
 }
 
-/// Near limit: the disparity up to which a ball of `radius_m` on the ray with slope `x` (the larger of the two
-/// axes) stays within `clear_px` pixels of it. Solves (q·c + q²·|x|)/(1 − q²) = m for q = radius/depth, where
-/// c = √(1 + x²) and m the slope of `clear_px`; the left side bounds both tangents of [`crate::window`].
+/// The vehicle's body as a cylinder about the vertical, for cameras that look about level.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Body {
+    pub(crate) radius_m: f32,
+    pub(crate) half_height_m: f32,
+}
+
+/// What was measured around a pixel: so many pixels to either side, up and down, and the slopes of its ray.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Clear {
+    pub(crate) across_px: f32,
+    pub(crate) up_px: f32,
+    pub(crate) x: f32,
+    pub(crate) y: f32,
+}
+
+/// Near limit: the disparity up to which a body on the pixel's ray stays within what is clear around it.
+///
+/// With q = radius/depth and the slope m of what is clear, sideways the cylinder's circle is within it while
+/// (q·c + q²·|x|)/(1 − q²) ≤ m, where c = √(1 + x²): the left side bounds both tangents of [`crate::window`].
+/// Upwards its near rim is while (|y| + q·h/r)/(1 − q) − |y| ≤ m.
 #[inline(always)]
-pub(crate) fn near_limit(rig: &StereoRig, radius_m: f32, clear_px: u16, x: f32) -> u16 {
-    if clear_px == 0 {
+pub(crate) fn near_limit(rig: &StereoRig, body: Body, clear: Clear) -> u16 {
+    // From a point anywhere in its pixel to the near side of the pixel that far away.
+    let slope = |pixels: f32| (pixels - 1.0) / rig.focal_px as f32;
+    if clear.across_px <= 1.0 || clear.up_px <= 1.0 {
         return 0;
     }
-    let m = (f32::from(clear_px) - 0.5) / rig.focal_px as f32;
-    let a = x.abs() + m;
-    let c = (1.0 + x * x).sqrt();
-    let q = ((c * c + 4.0 * a * m).sqrt() - c) / (2.0 * a);
-    let limit_px = q * rig.focal_baseline_px_m() as f32 / radius_m - rig.doffs_px as f32;
+    let (across, up) = (slope(clear.across_px), slope(clear.up_px));
+    let a = clear.x.abs() + across;
+    let c = (1.0 + clear.x * clear.x).sqrt();
+    let q_across = ((c * c + 4.0 * a * across).sqrt() - c) / (2.0 * a);
+    let q_up = up / (clear.y.abs() + body.half_height_m / body.radius_m + up);
+    let limit_px = q_across.min(q_up) * rig.focal_baseline_px_m() as f32 / body.radius_m - rig.doffs_px as f32;
     (limit_px * SCALE).floor() as u16
 }
 
@@ -135,16 +165,23 @@ mod tests {
     }
 
     #[test]
-    fn distance_is_chebyshev() {
-        let (width, height) = (9, 7);
+    fn distance_is_the_larger_of_both_axes_and_never_too_large() {
+        let (width, height) = (31, 27);
         let mut keys = vec![50; width * height];
-        keys[3 * width + 4] = 0;
-        let mut distance = vec![0; keys.len()];
-        distance_to_unmeasured(&keys, width, &mut distance);
-        for row in 0..height {
-            for column in 0..width {
-                let hole = row.abs_diff(3).max(column.abs_diff(4));
-                assert_eq!(usize::from(distance[row * width + column]), hole, "{row} {column}");
+        keys[13 * width + 14] = 0;
+        for stretch in [1.0_f32, 1.4, 1.667, 2.0, 3.3] {
+            let mut distance = vec![0; keys.len()];
+            distance_to_unmeasured(&keys, width, stretch, &mut distance);
+            for row in 0..height {
+                for column in 0..width {
+                    let (across, up) = (column.abs_diff(14) as f32, row.abs_diff(13) as f32 * stretch);
+                    let (exact, found) = (across.max(up), f32::from(distance[row * width + column]));
+                    assert!(
+                        found <= exact && found > exact - 2.0 - f32::from(stretch.fract() != 0.0),
+                        "{row} {column}: {found}"
+                    );
+                    assert!(stretch.fract() != 0.0 || found == exact, "{row} {column}: {found}");
+                }
             }
         }
     }
