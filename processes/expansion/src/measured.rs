@@ -10,7 +10,9 @@ use serde::{Deserialize, Serialize};
 ///
 /// Anything that stands on the ground meets it no nearer than the first return below the column: a blank wall ends
 /// at its foot. So the column grants free space up to `share` of that return's depth, and never beyond
-/// `limit_m`. A column without a return below it, such as a blank wall that fills the view, grants nothing.
+/// `limit_m`. A few returns on the way, such as the top edge of that wall or a twig before the sky, do not end the
+/// column, but the nearest of them counts. A column without a foot, such as a blank wall that fills the view, grants
+/// nothing.
 /// Blank objects that hang in the air are not covered; memory asks for a second view with parallax.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -31,7 +33,10 @@ impl BackgroundRule {
     }
 }
 
-/// Pixels below a column of sky whose nearest return decides the grant.
+/// More returns than this, one above the other, are the foot of a column of sky: an edge before the sky returns up to
+/// the height of the matcher's window and of a filled hole.
+const FOOT: usize = 12;
+/// So many of its topmost returns decide what the column is worth.
 const RETURNS_BELOW: usize = 4;
 
 /// Fills runs of codes between two disparities with the nearer of the two, where the run is explained: by at most
@@ -59,16 +64,28 @@ pub(crate) fn column_keys(column: &[u16], tables: &Tables, rig: &StereoRig, rule
     for (key, &pixel) in keys.iter_mut().zip(column) {
         *key = tables.hard_key(pixel);
     }
-    let sky = column.iter().position(|&pixel| is_valid(pixel)).unwrap_or(0);
-    let textureless = column[..sky].iter().filter(|&&pixel| pixel == TEXTURELESS).count();
-    if sky == 0 || (textureless as f32) < rule.textureless_share * sky as f32 {
+    let (mut sky, mut open, mut textureless, mut nearest) = (0, 0, 0, NO_MATCH);
+    while let Some(&pixel) = column.get(sky) {
+        let returns = column[sky..].iter().take_while(|&&pixel| is_valid(pixel)).count();
+        let is_foot = returns > FOOT;
+        let decide = if is_foot { RETURNS_BELOW } else { returns };
+        nearest = column[sky..sky + decide].iter().fold(nearest, |nearest, &pixel| nearest.max(pixel));
+        if is_foot {
+            break;
+        }
+        open += usize::from(returns == 0);
+        textureless += usize::from(pixel == TEXTURELESS);
+        sky += returns.max(1);
+    }
+    let has_foot = sky < column.len();
+    if !has_foot || open == 0 || (textureless as f32) < rule.textureless_share * open as f32 {
         return;
     }
-    let below = column[sky..].iter().take(RETURNS_BELOW).copied().max().unwrap_or(NO_MATCH);
-    let depth_m = rig.depth_m(f64::from(f32::from(below) / SCALE));
+    let depth_m = rig.depth_m(f64::from(f32::from(nearest) / SCALE));
     let range_m = (f64::from(rule.share) * depth_m).min(f64::from(rule.limit_m));
     if range_m > 0.0 {
-        keys[..sky].fill(soft_key(rig, range_m));
+        let soft = soft_key(rig, range_m);
+        keys[..sky].iter_mut().filter(|key| **key == 0).for_each(|key| *key = soft);
     }
 }
 
