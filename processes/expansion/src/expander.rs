@@ -42,6 +42,8 @@ pub struct Expander {
     columns: RangeMax,
     row_axis: Axis,
     column_axis: Axis,
+    row_windows: Windows,
+    column_windows: Windows,
     filled: Vec<u16>,
     transposed: Vec<u16>,
     keys: Vec<u16>,
@@ -80,6 +82,8 @@ impl Expander {
             tables: Tables::new(&rig, noise, &config),
             rows: RangeMax::new(width),
             columns: RangeMax::new(height),
+            row_windows: Windows::new(row_axis),
+            column_windows: Windows::new(column_axis),
             row_axis,
             column_axis,
             filled: scratch(),
@@ -156,23 +160,50 @@ impl Expander {
     /// Columns work on what the rows left. That loses nothing: a larger key's window contains a smaller one's.
     fn inflate(&mut self) {
         let (width, height) = (self.rig.width_px as usize, self.rig.height_px as usize);
-        inflate_lines(&mut self.rows, self.row_axis, &self.tables, &mut self.keys);
+        inflate_lines(&mut self.rows, self.row_axis, &self.tables, &mut self.row_windows, &mut self.keys);
         transpose(&self.keys, width, &mut self.transposed);
-        inflate_lines(&mut self.columns, self.column_axis, &self.tables, &mut self.transposed);
+        inflate_lines(
+            &mut self.columns,
+            self.column_axis,
+            &self.tables,
+            &mut self.column_windows,
+            &mut self.transposed,
+        );
         transpose(&self.transposed, height, &mut self.keys);
     }
 }
 
-#[multiversion(targets("x86_64+avx2+fma", "x86_64+sse4.1", "aarch64+neon"))]
-fn inflate_lines(range_max: &mut RangeMax, axis: Axis, tables: &Tables, keys: &mut [u16]) {
+#[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2+fma", "x86_64+sse4.1", "aarch64+neon"))]
+fn inflate_lines(range_max: &mut RangeMax, axis: Axis, tables: &Tables, windows: &mut Windows, keys: &mut [u16]) {
     for line in keys.chunks_exact_mut(axis.length_px) {
-        for (pixel, &key) in line.iter().enumerate() {
-            if key != 0 {
-                let (first, last) = axis.window(pixel, tables.radius_over_depth(key));
-                range_max.raise(first, last, key);
-            }
+        // Apart from the updates, so that the tangents vectorise.
+        for (q, &key) in windows.radius_over_depth.iter_mut().zip(line.iter()) {
+            *q = tables.radius_over_depth(key);
+        }
+        let ends = windows.first.iter_mut().zip(windows.last.iter_mut());
+        for (pixel, ((first, last), &q)) in ends.zip(windows.radius_over_depth.iter()).enumerate() {
+            (*first, *last) = axis.window(pixel, q);
+        }
+        let ends = windows.first.iter().zip(windows.last.iter());
+        for ((&first, &last), &key) in ends.zip(line.iter()).filter(|(_, key)| **key != 0) {
+            range_max.raise(first as usize, last as usize, key);
         }
         range_max.finish(line);
+    }
+}
+
+/// Scratch of one line: the window of every pixel.
+#[derive(Debug)]
+struct Windows {
+    radius_over_depth: Vec<f32>,
+    first: Vec<i32>,
+    last: Vec<i32>,
+}
+
+impl Windows {
+    fn new(axis: Axis) -> Self {
+        let length = axis.length_px;
+        Self { radius_over_depth: vec![0.0; length], first: vec![0; length], last: vec![0; length] }
     }
 }
 

@@ -29,22 +29,23 @@ impl Axis {
     /// Half a pixel is added on both sides for where in the pixel the surface is. At q ≥ 1 the camera is inside
     /// the sphere: everything.
     #[inline(always)]
-    pub(crate) fn window(&self, pixel: usize, q: f32) -> (usize, usize) {
-        if q >= 0.999 {
-            return (0, self.length_px - 1);
-        }
+    pub(crate) fn window(&self, pixel: usize, q: f32) -> (i32, i32) {
         let x = (pixel as f32 - self.centre_px) / self.focal_px;
         let half = 0.5 / self.focal_px;
+        let outside = q < 0.999;
+        // Computed either way, without a branch, so that loops over pixels vectorise.
+        let q = if outside { q } else { 0.5 };
         let denominator = 1.0 - q * q;
         let (left, right) = (x - half, x + half);
         let first = (left - q * (1.0 + left * left - q * q).sqrt()) / denominator;
         let last = (right + q * (1.0 + right * right - q * q).sqrt()) / denominator;
         let end = self.length_px as f32 - 1.0;
         // A query is looked up in the pixel nearest to it, so rounding of the tangents is to the nearest too;
-        // the thousandth absorbs single-precision error.
-        let first = (self.centre_px + self.focal_px * first + 0.499).floor().clamp(0.0, end);
-        let last = (self.centre_px + self.focal_px * last + 0.501).floor().clamp(0.0, end);
-        (first as usize, last as usize)
+        // the thousandth absorbs single-precision error. Not negative, so that truncation is rounding down.
+        let first = (self.centre_px + self.focal_px * first + 0.499).clamp(0.0, end);
+        let last = (self.centre_px + self.focal_px * last + 0.501).clamp(0.0, end);
+        let (first, last) = if outside { (first, last) } else { (0.0, end) };
+        (first as i32, last as i32)
     }
 }
 
@@ -66,7 +67,7 @@ mod tests {
                     let column = (AXIS.centre_px + AXIS.focal_px * (x + dx) / (1.0 + dz)).round();
                     if (0.0..320.0).contains(&column) {
                         assert!(
-                            (first..=last).contains(&(column as usize)),
+                            (first..=last).contains(&(column as i32)),
                             "{pixel} {q}: {column} not in {first}..={last}"
                         );
                     }
