@@ -2,11 +2,19 @@
 
 mod common;
 
-use common::{Run, on_two_threads, real_time};
+use common::{Run, on_threads, real_time};
 use sparrowhawk::config::FlightConfig;
 use sparrowhawk::graph::Flight;
 use std::sync::OnceLock;
 use supervisor::{Outcome, Summary};
+
+/// Graphs of processes that fly at a time: one takes about half a core.
+const PROCESS_GRAPHS: usize = 3;
+
+/// Lockstep flights that fly at a time.
+fn cores() -> usize {
+    std::thread::available_parallelism().map_or(2, std::num::NonZero::get)
+}
 
 fn configuration(world: Option<&str>, seed: u64) -> FlightConfig {
     let mut config = FlightConfig::load(None, world).expect("the shipped configuration loads");
@@ -22,7 +30,7 @@ fn fly(config: &FlightConfig) -> Summary {
 /// 30 forests of 0.05 trees/m², flown once for all tests that look at them.
 fn campaign() -> &'static [Summary] {
     static FLIGHTS: OnceLock<Vec<Summary>> = OnceLock::new();
-    FLIGHTS.get_or_init(|| on_two_threads(1..=30, |seed| fly(&configuration(None, seed))))
+    FLIGHTS.get_or_init(|| on_threads(cores(), 1..=30, |seed| fly(&configuration(None, seed))))
 }
 
 #[test]
@@ -46,9 +54,11 @@ fn thirty_forests_without_a_collision() {
 #[test]
 fn without_avoidance_nine_of_ten_of_them_end_in_a_collision() {
     let _alone = real_time();
-    let blind = on_two_threads(1..=30, |seed| {
+    let blind = on_threads(cores(), 1..=30, |seed| {
         let mut config = configuration(None, seed);
         config.avoidance = false;
+        // What nobody looks at need not be seen often.
+        config.vehicle.simulator.camera.rate_hz = 5.0;
         fly(&config).outcome
     });
     let collisions = blind.iter().filter(|outcome| **outcome == Outcome::Collided).count();
@@ -59,7 +69,7 @@ fn without_avoidance_nine_of_ten_of_them_end_in_a_collision() {
 #[test]
 fn ten_forests_end_alike_as_processes_and_in_lockstep() {
     let _alone = real_time();
-    let flown = on_two_threads(1..=10, |seed| {
+    let flown = on_threads(PROCESS_GRAPHS, 1..=10, |seed| {
         let run = Run::new(&format!("alike{seed}"));
         let flown = run.fly(&["--seed", &seed.to_string(), "--speed", "4"]);
         run.assert_nothing_left();
@@ -80,7 +90,7 @@ fn the_same_seed_repeats_to_the_bit_and_another_differs() {
         config.mission.time_limit_s = 8.0;
         fly(&config)
     };
-    let results = on_two_threads(0..=2, |index| brief([11, 11, 12][index as usize]));
+    let results = on_threads(cores(), 0..=2, |index| brief([11, 11, 12][index as usize]));
     assert_eq!(results[0], results[1]);
     assert_ne!(results[0].log_hash, results[2].log_hash);
 }

@@ -144,12 +144,16 @@ pub fn data() -> Option<PathBuf> {
     Some(folder)
 }
 
-/// Calls `work` for every item on two threads, and returns the results in order.
-pub fn on_two_threads<T: Send>(items: std::ops::RangeInclusive<u64>, work: impl Fn(u64) -> T + Sync) -> Vec<T> {
+/// Calls `work` for every item on so many threads, and returns the results in order.
+pub fn on_threads<T: Send>(
+    threads: usize,
+    items: std::ops::RangeInclusive<u64>,
+    work: impl Fn(u64) -> T + Sync,
+) -> Vec<T> {
     let next = Mutex::new(items);
     let results = Mutex::new(Vec::new());
     std::thread::scope(|scope| {
-        for _ in 0..2 {
+        for _ in 0..threads {
             scope.spawn(|| {
                 loop {
                     let Some(item) = next.lock().unwrap_or_else(PoisonError::into_inner).next() else { return };

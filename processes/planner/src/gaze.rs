@@ -53,15 +53,15 @@ impl Gaze {
 
     /// Whether a heading was looked at from here.
     pub(crate) fn has_looked(&self, heading_rad: f64, situation: &Situation, half_view_rad: f64) -> bool {
-        self.from_here(situation).any(|look| is_seen(heading_rad, look.heading_rad, half_view_rad))
+        self.remembered(situation).any(|look| is_seen(heading_rad, look.heading_rad, half_view_rad))
     }
 
     /// How many headings were looked at from here.
     pub(crate) fn looks(&self, situation: &Situation) -> usize {
-        self.from_here(situation).count()
+        self.remembered(situation).count()
     }
 
-    fn from_here(&self, situation: &Situation) -> impl Iterator<Item = &Look> {
+    fn remembered(&self, situation: &Situation) -> impl Iterator<Item = &Look> {
         let (now, here) = (situation.now, situation.position);
         let remembers =
             move |look: &&Look| now.seconds_since(look.since) < FORGET_S && look.at.distance(here) < FORGET_M;
