@@ -10,6 +10,7 @@ use runtime::lockstep::LatencyModel;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use simulator::{SimulatorConfig, WorldConfig};
+use std::f64::consts::FRAC_PI_2;
 use std::fs;
 use std::path::{Path, PathBuf};
 use supervisor::{MissionConfig, RestartRule};
@@ -324,11 +325,23 @@ impl VehicleConfig {
         );
         let (brakes, planned) = (self.controller.braking_mps2, self.planner.braking_mps2);
         bounds.require(
-            brakes >= planned && self.controller.slew_mps2 >= planned,
+            brakes >= planned,
             "controller.braking_mps2",
+            format_args!("is {brakes}, must be at least planner.braking_mps2 = {planned}"),
+        );
+        let (slew, hard) = (self.controller.slew_mps2, self.planner.hard_braking_mps2);
+        bounds.require(
+            slew >= hard,
+            "controller.slew_mps2",
+            format_args!("is {slew}, must be at least planner.hard_braking_mps2 = {hard}"),
+        );
+        let half_height_m = self.tilted_half_height_m();
+        bounds.require(
+            f64::from(self.expansion.body_half_height_m) >= half_height_m,
+            "expansion.body_half_height_m",
             format_args!(
-                "is {brakes}, slew_mps2 {}: both must be at least planner.braking_mps2 = {planned}",
-                self.controller.slew_mps2
+                "is {}, must be at least that of the hull tilted by hard braking and the mount, {half_height_m:.3} m",
+                self.expansion.body_half_height_m
             ),
         );
         bounds.require(
@@ -355,6 +368,7 @@ impl VehicleConfig {
         for (key, value) in [
             ("planner.acceleration_mps2", self.planner.acceleration_mps2),
             ("planner.braking_mps2", self.planner.braking_mps2),
+            ("planner.hard_braking_mps2", self.planner.hard_braking_mps2),
         ] {
             bounds.require(
                 value < able,
@@ -362,6 +376,16 @@ impl VehicleConfig {
                 format_args!("is {value}, must be below what the vehicle can, {able} m/s²"),
             );
         }
+    }
+}
+
+impl VehicleConfig {
+    /// Half of the height that the hull takes up in the camera's frame when the vehicle brakes hard, m.
+    fn tilted_half_height_m(&self) -> f64 {
+        let hull = &self.simulator.vehicle;
+        let tilt_rad = self.mount.pitch_up_deg.to_radians().abs() + (self.planner.hard_braking_mps2 / 9.81).atan();
+        let (sin, cos) = tilt_rad.min(FRAC_PI_2).sin_cos();
+        hull.hull_radius_m * sin + hull.hull_height_m / 2.0 * cos
     }
 }
 

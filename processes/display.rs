@@ -101,8 +101,9 @@ fn process_line(child: &ChildStatus) -> String {
     };
     let health = child.health.map_or(String::new(), |health| {
         format!(
-            "{:6.1} ms/step  {} dropped  {}",
+            "{:6.1} ms/step  {} missed  {} refused  {}",
             health.last_step_ns as f64 * 1e-6,
+            health.missed,
             health.dropped,
             health.note.to_string_lossy()
         )

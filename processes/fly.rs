@@ -16,8 +16,8 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Duration;
 use supervisor::{
-    ChildCommand, ChildStatus, Happening, LatencySummary, Mission, Outcome, ProcessSummary, SignalWatch, Summary,
-    Supervision,
+    ChildCommand, ChildStatus, Happening, LatencySummary, Losses, Mission, Outcome, ProcessSummary, SignalWatch,
+    Summary, Supervision,
 };
 
 /// Options of a flight.
@@ -206,10 +206,19 @@ fn with_processes(mut summary: Summary, children: &[ChildStatus]) -> Summary {
         pid: Some(std::process::id()),
         restarts: 0,
         longest_recovery_ms: None,
-        dropped: 0,
         longest_step_ms: 0.0,
     });
     summary
+}
+
+/// Which processes lost messages, and how many.
+fn losses(summary: &Summary) -> String {
+    if summary.losses.is_empty() {
+        return "none".to_owned();
+    }
+    let of =
+        |(name, losses): (&String, &Losses)| format!("{name} missed {}, refused {}", losses.missed, losses.dropped);
+    summary.losses.iter().map(of).collect::<Vec<_>>().join("; ")
 }
 
 /// The flight report, as text.
@@ -241,6 +250,7 @@ pub fn report(summary: &Summary, folder: &Path) -> String {
     );
     line("replans", summary.replans.to_string());
     line("stereo pairs", format!("{}, of which {} led to no map", summary.frames, summary.frames_without_map));
+    line("lost messages", losses(summary));
     line("clock", format!("{:.3} flight seconds per second", summary.clock_ratio));
     let latency =
         |l: &LatencySummary| format!("p50 {:6.1} ms   p99 {:6.1} ms   max {:6.1} ms", l.p50_ms, l.p99_ms, l.max_ms);

@@ -4,7 +4,7 @@ use crate::wire::{Stamp, Text, stamped, wire};
 
 wire! {
     /// Heartbeat and health of one process.
-    Health = "sparrowhawk/Health/1" {
+    Health = "sparrowhawk/Health/2" {
         /// Origin; `producer` is the process.
         stamp: Stamp,
         /// [`HealthLevel`].
@@ -15,6 +15,8 @@ wire! {
         steps: u64,
         /// Messages refused as malformed, late or unusable since start.
         dropped: u64,
+        /// Messages that should have woken the process and that it never saw, since start.
+        missed: u64,
         /// Host time of the last step that published, ns.
         last_step_ns: i64,
         /// Longest such step since start, ns.

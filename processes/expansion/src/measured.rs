@@ -64,21 +64,27 @@ pub(crate) fn column_keys(column: &[u16], tables: &Tables, rig: &StereoRig, rule
     for (key, &pixel) in keys.iter_mut().zip(column) {
         *key = tables.hard_key(pixel);
     }
-    let (mut sky, mut open, mut textureless, mut nearest) = (0, 0, 0, NO_MATCH);
-    while let Some(&pixel) = column.get(sky) {
-        let returns = column[sky..].iter().take_while(|&&pixel| is_valid(pixel)).count();
+    let (mut sky, mut nearest, mut is_open) = (0, NO_MATCH, false);
+    let has_foot = loop {
+        let rest = &column[sky..];
+        let open = rest.iter().take_while(|&&pixel| !is_valid(pixel)).count();
+        let textureless = rest[..open].iter().filter(|&&pixel| pixel == TEXTURELESS).count();
+        // Every stretch between returns must pass: something unmatched below a twig is not sky.
+        if (textureless as f32) < rule.textureless_share * open as f32 {
+            return;
+        }
+        is_open |= open > 0;
+        let returns = rest[open..].iter().take_while(|&&pixel| is_valid(pixel)).count();
         let is_foot = returns > FOOT;
         let decide = if is_foot { RETURNS_BELOW } else { returns };
-        nearest = column[sky..sky + decide].iter().fold(nearest, |nearest, &pixel| nearest.max(pixel));
-        if is_foot {
-            break;
+        nearest = rest[open..open + decide].iter().fold(nearest, |nearest, &pixel| nearest.max(pixel));
+        sky += open;
+        if is_foot || returns == 0 {
+            break is_foot;
         }
-        open += usize::from(returns == 0);
-        textureless += usize::from(pixel == TEXTURELESS);
-        sky += returns.max(1);
-    }
-    let has_foot = sky < column.len();
-    if !has_foot || open == 0 || (textureless as f32) < rule.textureless_share * open as f32 {
+        sky += returns;
+    };
+    if !has_foot || !is_open {
         return;
     }
     let depth_m = rig.depth_m(f64::from(f32::from(nearest) / SCALE));
@@ -158,7 +164,8 @@ pub(crate) fn near_limit(rig: &StereoRig, body: Body, clear: Clear) -> u16 {
     let (across, up) = (slope(clear.across_px), slope(clear.up_px));
     let a = clear.x.abs() + across;
     let c = (1.0 + clear.x * clear.x).sqrt();
-    let q_across = ((c * c + 4.0 * a * across).sqrt() - c) / (2.0 * a);
+    // The root without the cancellation: 2m/(c + √) for (√ − c)/2a.
+    let q_across = 2.0 * across / (c + (c * c + 4.0 * a * across).sqrt());
     let q_up = up / (clear.y.abs() + body.half_height_m / body.radius_m + up);
     let limit_px = q_across.min(q_up) * rig.focal_baseline_px_m() as f32 / body.radius_m - rig.doffs_px as f32;
     (limit_px * SCALE).floor() as u16
@@ -167,6 +174,9 @@ pub(crate) fn near_limit(rig: &StereoRig, body: Body, clear: Clear) -> u16 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Config;
+    use ipc_types::disparity::encode;
+    use ipc_types::noise::NoiseModel;
 
     #[test]
     fn short_holes_take_the_nearer_end_and_long_ones_stay() {
@@ -179,6 +189,41 @@ mod tests {
         assert_eq!(line[4..10], [0; 6]);
         fill_holes(&mut line, 3, true);
         assert_eq!(line[4..10], [300; 6]);
+    }
+
+    #[test]
+    fn a_thin_edge_does_not_end_the_sky_but_what_is_unmatched_below_it_does() {
+        let rig = StereoRig {
+            width_px: 4,
+            height_px: 200,
+            focal_px: 200.0,
+            cx_px: 1.5,
+            cy_px: 99.5,
+            baseline_m: 0.3,
+            doffs_px: 0.0,
+        };
+        let noise = NoiseModel { sigma_px: 0.3, lambda_near: 3.0, lambda_far: 1.0, near_px: 6.0, far_px: 1.5 };
+        let rule = BackgroundRule { limit_m: 50.0, share: 0.7, textureless_share: 0.8 };
+        let body = (0.3, 0.15);
+        let config =
+            Config { radius_m: 0.5, body_radius_m: body.0, body_half_height_m: body.1, hole_px: 0, background: rule };
+        let tables = Tables::new(&rig, &noise, &config);
+        let at = |depth_m: f64| encode(rig.disparity_px(depth_m) as f32);
+        let granted = |stretches: &[(u16, usize)]| {
+            let column: Vec<u16> = stretches.iter().flat_map(|&(pixel, count)| vec![pixel; count]).collect();
+            let mut keys = vec![0; column.len()];
+            column_keys(&column, &tables, &rig, &rule, &mut keys);
+            (keys[0], keys[column.len() - 40])
+        };
+        let (edge, foot) = ((at(20.0), 6), (at(15.0), 40));
+        let sky = soft_key(&rig, 0.7 * f64::from(rig.depth_m(f64::from(f32::from(at(15.0)) / SCALE)) as f32));
+        let (above, _) = granted(&[(TEXTURELESS, 100), edge, (TEXTURELESS, 20), foot]);
+        assert!(above.abs_diff(sky) <= 2, "{above} {sky}");
+        let (near_edge, _) = granted(&[(TEXTURELESS, 100), (at(5.0), 6), (TEXTURELESS, 20), foot]);
+        assert!(near_edge > 2 * sky, "the nearest return decides: {near_edge}");
+        assert_eq!(granted(&[(TEXTURELESS, 100), edge, (NO_MATCH, 20), foot]).0, 0, "something hangs below the edge");
+        assert_eq!(granted(&[(TEXTURELESS, 100), edge, (TEXTURELESS, 60)]).0, 0, "no foot");
+        assert_eq!(granted(&[(TEXTURELESS, 100), (at(5.0), FOOT), (TEXTURELESS, 60)]).0, 0, "too low for a foot");
     }
 
     #[test]

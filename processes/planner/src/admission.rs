@@ -20,16 +20,18 @@ pub(crate) struct Admission<'a> {
 /// The occupied stretch at a candidate's start: a vehicle that has come too near to something may leave its margin.
 ///
 /// A straight line that leaves every ball of radius R it starts in within s comes nearer to none of their centres, but
-/// for s²/8R. So a short stretch leads out, and a way deeper in is never short.
+/// for s²/8R. So a short stretch leads out, and a way deeper in is never short. What lies on the other side of the
+/// start is not part of it: a vehicle that still moves inwards must come to rest without it.
 #[derive(Clone, Copy, Debug)]
 struct Escape {
     from: Point<World>,
-    reach_m: f64,
+    exit: Point<World>,
 }
 
 impl Escape {
     fn covers(&self, point: Point<World>) -> bool {
-        self.from.distance(point) <= self.reach_m
+        let (out, way) = (self.exit - self.from, point - self.from);
+        way.norm() <= out.norm() + ESCAPE_SPACING_M && way.dot(out) >= 0.0 && out.norm() > 0.0
     }
 }
 
@@ -40,7 +42,7 @@ pub(crate) struct Admitted {
     pub(crate) unknown_m: f64,
 }
 
-/// What became of the candidates. Those that could not win are not asked about.
+/// What became of the candidates. Those that could not win, or are out of the camera's view, are not asked about.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Tally {
     /// Candidates rolled out.
@@ -109,18 +111,16 @@ impl Admission<'_> {
     /// The occupied stretch at the start, if it is short enough to leave.
     fn escape(&self, rollout: &Rollout, threshold: f32) -> Result<Escape, Refusal> {
         let from = rollout.samples[0].position;
-        let mut reach_m = 0.0;
         for pair in rollout.samples.windows(2) {
             let pieces = (pair[0].position.distance(pair[1].position) / ESCAPE_SPACING_M).ceil().max(1.0) as usize;
             for piece in 0..pieces {
-                let point = pair[0].position.lerp(pair[1].position, piece as f64 / pieces as f64);
-                if reach_m > self.config.escape_m {
+                let exit = pair[0].position.lerp(pair[1].position, piece as f64 / pieces as f64);
+                if from.distance(exit) > self.config.escape_m {
                     return Err(Refusal::Occupied);
                 }
-                if self.view.occupancy(point, threshold) != Occupancy::Occupied {
-                    return Ok(Escape { from, reach_m });
+                if self.view.occupancy(exit, threshold) != Occupancy::Occupied {
+                    return Ok(Escape { from, exit });
                 }
-                reach_m = from.distance(point) + ESCAPE_SPACING_M;
             }
         }
         Err(Refusal::Occupied)
@@ -208,6 +208,8 @@ mod tests {
         assert_eq!(admit(4.15, Vector::ZERO, deeper), Err(Refusal::Occupied));
         assert_eq!(admit(4.15, Vector::ZERO, along), Err(Refusal::Occupied));
         assert_eq!(admit(4.6, Vector::ZERO, out), Err(Refusal::Occupied), "too deep for the allowance");
+        let inwards = Vector::new(1.2, 0.0, 0.0);
+        assert_eq!(admit(4.15, inwards, out), Err(Refusal::Occupied), "still moves deeper before it turns");
     }
 
     #[test]

@@ -133,17 +133,17 @@ impl Field {
         }
     }
 
-    /// Length of the way from a point to the goal, m; infinite where the grid knows none.
+    /// Length of the way from a point to the goal, m, or more; infinite where the grid knows none.
     pub(crate) fn to_goal_m(&self, point: Point<World>) -> f64 {
         let (x, y) = cell_of(point);
-        let side = 0..SIDE as i64;
         let mut least = f64::INFINITY;
         for (right, down) in (-1..=1).flat_map(|right| (-1..=1).map(move |down| (right, down))) {
-            let (column, row) = (x + right - self.first.0, y + down - self.first.1);
-            if side.contains(&column) && side.contains(&row) {
-                let cost_m = f64::from(self.to_goal_m[row as usize * SIDE + column as usize]);
-                least = least.min(cost_m + centre((x + right, y + down), point.z).distance(point));
-            }
+            // What lies beyond the grid is reached straight from its rim.
+            let inside = |value: i64| value.clamp(0, SIDE as i64 - 1);
+            let (column, row) = (inside(x + right - self.first.0), inside(y + down - self.first.1));
+            let index = row as usize * SIDE + column as usize;
+            let to_goal_m = f64::from(self.to_goal_m[index]);
+            least = least.min(to_goal_m + centre(self.cell(index), point.z).distance(point));
         }
         least
     }
@@ -159,7 +159,9 @@ pub(crate) struct Ask {
 }
 
 fn cell_of(point: Point<World>) -> (i64, i64) {
-    ((point.x / CELL_M).floor() as i64, (point.y / CELL_M).floor() as i64)
+    // No world is larger, and no sum of cells overflows.
+    let cell = |value: f64| (value / CELL_M).floor().clamp(-1e12, 1e12) as i64;
+    (cell(point.x), cell(point.y))
 }
 
 fn centre(cell: (i64, i64), z: f64) -> Point<World> {
@@ -183,7 +185,8 @@ mod tests {
             let (found, straight) = (field.to_goal_m(point), point.distance(GOAL));
             assert!((straight - 0.1..straight * 1.09).contains(&found), "{point:?}: {found}, straight {straight}");
         }
-        assert!(field.to_goal_m(Point::new(30.0, 0.0, 2.0)).is_infinite(), "beyond the grid");
+        let beyond = field.to_goal_m(Point::new(13.0, 0.0, 2.0));
+        assert!((27.0..35.0).contains(&beyond), "beyond the grid there is no cliff: {beyond}");
     }
 
     #[test]
@@ -208,6 +211,10 @@ mod tests {
         assert_eq!(field.price_of(cell, Occupancy::Free, 0.3), 1.0);
         assert_eq!(field.price_of(cell, unknown, 0.3), 1.0);
         field.update(&home_only(200.0), &FENCE, AT, GOAL, ASK);
-        assert!(field.to_goal_m(Point::new(f64::NAN, 1e300, 0.0)).is_infinite());
+        for hostile in [f64::NAN, f64::INFINITY, -1e300] {
+            assert!(!field.to_goal_m(Point::new(hostile, 0.0, 2.0)).is_finite() || hostile.is_finite());
+            field.update(&home_only(200.0), &FENCE, Point::new(hostile, 1e300, hostile), GOAL, ASK);
+            field.update(&home_only(200.0), &FENCE, AT, Point::new(hostile, hostile, 2.0), ASK);
+        }
     }
 }

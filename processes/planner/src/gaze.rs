@@ -11,8 +11,8 @@ use ipc_types::{FlightTime, Point, World};
 const ALIGNED_RAD: f64 = 0.14;
 /// Longest that a turn may take, s.
 const TURN_S: f64 = 4.0;
-/// What was looked at is forgotten after this long, s ...
-const FORGET_S: f64 = 12.0;
+/// What was looked at is forgotten after this long, s: later than all looks from one place and a whole turn take ...
+const FORGET_S: f64 = 35.0;
 /// ... or this far away, m.
 const FORGET_M: f64 = 0.7;
 /// Share of the camera's half view that counts as seen: towards the edge a body is not seen whole.
@@ -25,14 +25,27 @@ struct Look {
     at: Point<World>,
 }
 
+/// Most looks from one place.
+pub(crate) const LOOKS: usize = 6;
+
 /// Where the vehicle turns to look, and where it has looked from here.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub(crate) struct Gaze {
     turn: Option<Look>,
     looked: Vec<Look>,
 }
 
 impl Gaze {
+    pub(crate) fn new() -> Self {
+        Self { turn: None, looked: Vec::with_capacity(LOOKS + 2) }
+    }
+
+    /// Forgets everything.
+    pub(crate) fn reset(&mut self) {
+        self.turn = None;
+        self.looked.clear();
+    }
+
     /// Begins to turn.
     pub(crate) fn look(&mut self, heading_rad: f64, now: FlightTime, at: Point<World>) {
         self.looked.retain(|look| now.seconds_since(look.since) < FORGET_S && look.at.distance(at) < FORGET_M);
@@ -45,6 +58,9 @@ impl Gaze {
         let is_aligned = wrap_angle_rad(turn.heading_rad - yaw_rad).abs() < ALIGNED_RAD;
         if is_aligned || now.seconds_since(turn.since) > TURN_S {
             self.turn = None;
+            if self.looked.len() > LOOKS {
+                self.looked.remove(0);
+            }
             self.looked.push(Look { since: now, ..turn });
             return None;
         }
@@ -86,7 +102,7 @@ mod tests {
     fn what_was_looked_at_is_remembered_for_a_while() {
         let here = Point::new(0.0, 0.0, 2.0);
         let at = |now: f64, place| situation(now, place, Vector::ZERO);
-        let mut gaze = Gaze::default();
+        let mut gaze = Gaze::new();
         assert!(is_seen(0.3, 0.0, HALF_VIEW_RAD) && !is_seen(1.5, 0.0, HALF_VIEW_RAD));
         assert!(is_seen(-3.1, 3.1, HALF_VIEW_RAD), "across the wrap");
         assert!(!gaze.has_looked(1.5, &at(0.0, here), HALF_VIEW_RAD));
@@ -95,13 +111,13 @@ mod tests {
         assert_eq!(gaze.turning(FlightTime::from_secs_f64(1.0), 1.45), None, "aligned");
         assert!(gaze.has_looked(1.7, &at(2.0, here), HALF_VIEW_RAD));
         assert!(!gaze.has_looked(-1.5, &at(2.0, here), HALF_VIEW_RAD), "the other side");
-        assert!(!gaze.has_looked(1.7, &at(30.0, here), HALF_VIEW_RAD), "long ago");
+        assert!(!gaze.has_looked(1.7, &at(40.0, here), HALF_VIEW_RAD), "long ago");
         assert!(!gaze.has_looked(1.7, &at(2.0, Point::new(2.0, 0.0, 2.0)), HALF_VIEW_RAD), "elsewhere");
     }
 
     #[test]
     fn a_turn_that_does_not_come_about_ends() {
-        let mut gaze = Gaze::default();
+        let mut gaze = Gaze::new();
         gaze.look(3.0, FlightTime::ZERO, Point::ZERO);
         let turning: Vec<_> =
             (0..100).map(|tick| gaze.turning(FlightTime::from_secs_f64(f64::from(tick) * 0.1), 0.0)).collect();

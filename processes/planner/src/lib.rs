@@ -2,9 +2,10 @@
 //!
 //! [`Planner`] is the pure core. At every new map it rolls out a library of candidates from where the vehicle will be
 //! when the plan takes effect ([`rollout`](self)), asks the map about each ([`admission`](self)), and publishes the
-//! cheapest admissible one. Every candidate ends at rest. Admissible means: no sample is occupied, and as far as
-//! the vehicle can get before the next plan or the controller's deadline, plus its braking distance along the
-//! velocity it then has, everything is known free. Beyond that a plan may pass through unknown space, at a price.
+//! cheapest admissible one. Every candidate ends at rest. Admissible means: no sample is occupied (but for a short way
+//! out of a margin the vehicle is in), and as far as the vehicle can get before the next plan or the controller's
+//! deadline, plus its braking distance along the velocity it then has, everything is known free. Beyond that a plan
+//! may pass through unknown space, at a price.
 //!
 //! New plans are checked with γ_low, the plan being flown with γ_high, so that flicker causes no replan. Without an
 //! admissible plan the vehicle brakes, looks around, backs out along the path flown, and finally gives up and hovers.
@@ -12,6 +13,7 @@
 //! Effort is bounded by the number of candidates and samples, never by time.
 
 mod admission;
+mod draft;
 mod field;
 mod gaze;
 mod library;
@@ -59,7 +61,7 @@ pub struct Config {
     pub braking_mps2: f64,
     /// Deceleration of a stop for want of an admissible plan, m/s².
     pub hard_braking_mps2: f64,
-    /// Longest occupied stretch at a candidate's start that may be flown, to leave a margin the vehicle is in, m.
+    /// How far from a candidate's start an occupied stretch may reach that leads out of a margin the vehicle is in, m.
     pub escape_m: f64,
     /// Speed of take-off, m/s.
     pub take_off_mps: f64,

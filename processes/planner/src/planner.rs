@@ -2,12 +2,12 @@
 
 use crate::Config;
 use crate::admission::{Admission, Tally};
+use crate::draft::Draft;
 use crate::field::{Ask, Field};
-use crate::gaze::{Gaze, is_seen};
+use crate::gaze::{Gaze, LOOKS, is_seen};
 use crate::library::{self, Index};
-use crate::rollout::{Rollout, STEP_S, Sample, Target};
-use crate::stuck::{LOOK_SHARE, Stage, Stuck};
-use ipc_types::frames::wrap_angle_rad;
+use crate::rollout::{Rollout, Sample, Target};
+use crate::stuck::{Stage, Stuck};
 use ipc_types::limits::Fence;
 use ipc_types::messages::{PlanMode, TrajectoryPoint};
 use ipc_types::{FlightTime, Point, Vector, World};
@@ -80,8 +80,7 @@ pub struct Planner {
     field: Field,
     replans: u64,
     scratch: Rollout,
-    best: Rollout,
-    points: Vec<TrajectoryPoint>,
+    draft: Draft,
 }
 
 /// Distance to the goal at which it counts as reached, m.
@@ -100,8 +99,6 @@ const BACK_OUT_S: f64 = 20.0;
 const LOOK_FIRST_MPS: f64 = 0.9;
 /// Price of a place from which no way to the goal is known, m.
 const NO_WAY_M: f64 = 20.0;
-/// Most looks from one place.
-const LOOKS: usize = 6;
 /// Shortest move worth making, m: less is standing still.
 const WORTHWHILE_M: f64 = 0.3;
 
@@ -117,12 +114,11 @@ impl Planner {
             goal: None,
             flying: None,
             stuck: Stuck::new(),
-            gaze: Gaze::default(),
+            gaze: Gaze::new(),
             field: Field::new(),
             replans: 0,
             scratch: Rollout::new(),
-            best: Rollout::new(),
-            points: Vec::with_capacity(256),
+            draft: Draft::new(),
         }
     }
 
@@ -133,7 +129,7 @@ impl Planner {
 
     /// The points of the last plan.
     pub fn points(&self) -> &[TrajectoryPoint] {
-        &self.points
+        &self.draft.points
     }
 
     /// Plans from a situation and a map.
@@ -142,6 +138,9 @@ impl Planner {
         if self.goal.is_none_or(|goal| goal.distance(situation.goal) > 0.05) {
             self.goal = Some(situation.goal);
             self.stuck.reset();
+            self.gaze.reset();
+            // The library's candidates are named relative to the goal.
+            self.flying = None;
             self.arrived = false;
         }
         // Where the vehicle will be when the plan takes effect.
@@ -152,7 +151,7 @@ impl Planner {
         self.airborne |= !self.is_take_off(situation.position);
         if !self.airborne {
             let climb = Target::Place(self.top(), self.config.take_off_mps);
-            self.best.fill(from, climb, 3.0, &self.config);
+            self.draft.rollout.fill(from, climb, 3.0, &self.config);
             self.write_points(situation.yaw_rad, |_| goal_heading(situation));
             return plan(PlanMode::TakeOff);
         }
@@ -176,7 +175,7 @@ impl Planner {
         let path = self.way_flown(view);
         self.stuck.note_progress(situation.now, situation.position, to_goal_m, path, &self.config);
         if matches!(self.stuck.stage, Stage::BackingOut { .. }) {
-            self.gaze = Gaze::default();
+            self.gaze.reset();
             self.brake(from, situation.yaw_rad);
             return plan(PlanMode::Hold);
         }
@@ -192,7 +191,6 @@ impl Planner {
                 return Plan { tally, ..plan(mode) };
             }
             Course::Look(heading_rad) => {
-                self.stuck.moving();
                 self.gaze.look(heading_rad, situation.now, situation.position);
                 self.turn(from, situation.yaw_rad, heading_rad);
                 return Plan { tally, ..plan(PlanMode::LookAround) };
@@ -220,7 +218,7 @@ impl Planner {
         &path[climb.map_or(0, |last| last + 1)..]
     }
 
-    /// Leaves the cheapest admissible candidate in `self.best`; returns what became of all, and which it is.
+    /// Leaves the cheapest admissible candidate in the draft; returns what became of all, and which it is.
     ///
     /// A slow vehicle does not set out where its camera does not look: such a candidate is a wish to look there.
     fn choose(&mut self, from: Sample, situation: &Situation, view: &View) -> (Tally, Course) {
@@ -230,7 +228,7 @@ impl Planner {
         let ask = Ask { threshold: config.gamma_low, unknown_price: config.unknown_price as f32 };
         self.field.update(view, fence, from.position, goal, ask);
         let field = &self.field;
-        let (scratch, best, gaze) = (&mut self.scratch, &mut self.best, &self.gaze);
+        let (scratch, best, gaze) = (&mut self.scratch, &mut self.draft.rollout, &self.gaze);
         let height = self.home.z + config.cruise_height_m;
         let (mut tally, mut cheapest, mut course) = (Tally::default(), f64::INFINITY, Course::None);
         let near_goal = from.position.distance(goal) < LEFT_M;
@@ -316,7 +314,7 @@ impl Planner {
             return PlanMode::Hold;
         }
         self.flying = None;
-        self.best.fill(from, Target::Place(next, BACK_OUT_MPS), 1.0, &self.config);
+        self.draft.rollout.fill(from, Target::Place(next, BACK_OUT_MPS), 1.0, &self.config);
         self.write_points(situation.yaw_rad, |_| situation.yaw_rad);
         PlanMode::BackOut
     }
@@ -324,8 +322,8 @@ impl Planner {
     /// At the goal: closes what is left of the way if that is free, else stays where it is.
     fn settle(&mut self, situation: &Situation, from: Sample, view: &View) {
         let admission = Admission { view, fence: &self.fence, config: &self.config };
-        self.best.fill(from, Target::Place(situation.goal, SETTLE_MPS), self.config.horizon_s, &self.config);
-        if admission.admit(&self.best, self.config.gamma_high).is_err() {
+        self.draft.rollout.fill(from, Target::Place(situation.goal, SETTLE_MPS), self.config.horizon_s, &self.config);
+        if admission.admit(&self.draft.rollout, self.config.gamma_high).is_err() {
             return self.brake(from, situation.yaw_rad);
         }
         self.flying = None;
@@ -335,43 +333,17 @@ impl Planner {
     /// A straight stop along the velocity, which is always allowed.
     fn brake(&mut self, from: Sample, yaw_rad: f64) {
         self.flying = None;
-        self.best.stop(from, self.config.hard_braking_mps2);
-        self.write_points(yaw_rad, |_| yaw_rad);
+        self.draft.stop(from, yaw_rad, &self.config);
     }
 
     /// Brakes, and turns towards a heading.
     fn turn(&mut self, from: Sample, yaw_rad: f64, target_rad: f64) {
-        let step = (LOOK_SHARE * self.config.yaw_rate_degps).to_radians() * STEP_S;
-        self.brake(from, yaw_rad);
-        // At rest there is one sample; the turn needs more.
-        while self.points.len() < 12 {
-            let Some(&last) = self.points.last() else { break };
-            self.points.push(TrajectoryPoint { t_s: last.t_s + STEP_S, ..last });
-        }
-        let left_rad = wrap_angle_rad(target_rad - yaw_rad);
-        for (index, point) in self.points.iter_mut().enumerate() {
-            // Ahead of the heading, so that the tracker keeps turning at the rate.
-            let most = step * (index + 6) as f64;
-            point.yaw_rad = wrap_angle_rad(yaw_rad + left_rad.clamp(-most, most));
-        }
+        self.flying = None;
+        self.draft.turn(from, yaw_rad, target_rad, &self.config);
     }
 
-    /// Turns `self.best` into points; the heading turns towards `heading` of the velocity at the turn rate.
     fn write_points(&mut self, yaw_rad: f64, heading: impl Fn(Vector<World>) -> f64) {
-        let most = self.config.yaw_rate_degps.to_radians() * STEP_S;
-        let mut yaw_rad = yaw_rad;
-        self.points.clear();
-        for (index, sample) in self.best.samples.iter().enumerate() {
-            // Look where the vehicle will be: half a second on.
-            let ahead = self.best.samples.get(index + 5).map_or(sample.velocity, |ahead| ahead.velocity);
-            yaw_rad = wrap_angle_rad(yaw_rad + wrap_angle_rad(heading(ahead) - yaw_rad).clamp(-most, most));
-            self.points.push(TrajectoryPoint {
-                t_s: index as f64 * STEP_S,
-                position_m: sample.position.to_array(),
-                velocity_mps: sample.velocity.to_array(),
-                yaw_rad,
-            });
-        }
+        self.draft.write(yaw_rad, &self.config, heading);
     }
 }
 

@@ -11,6 +11,7 @@
 pub mod images;
 pub mod ipc;
 pub mod lockstep;
+mod missed;
 mod ports;
 pub mod run_dir;
 

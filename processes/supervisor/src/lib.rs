@@ -14,5 +14,5 @@ mod supervision;
 
 pub use mission::{Mission, MissionConfig, Outcome};
 pub use policy::{Decision, Policy, RestartRule};
-pub use summary::{LatencySummary, ProcessSummary, Summary};
+pub use summary::{LatencySummary, Losses, ProcessSummary, Summary};
 pub use supervision::{ChildCommand, ChildState, ChildStatus, Happening, SignalWatch, Supervision, SupervisionError};

@@ -247,6 +247,7 @@ impl Process for Mission {
             self.state = Some(*state.header());
         }
         while let Some(health) = ports.receive::<HealthReports>() {
+            self.recorder.health(health.header());
             self.heartbeats.push(*health.header());
         }
         while let Some(truth) = ports.receive::<Truth>() {

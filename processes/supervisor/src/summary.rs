@@ -3,9 +3,9 @@
 use crate::mission::{MissionConfig, Outcome};
 use crate::supervision::ChildStatus;
 use hdrhistogram::Histogram;
-use ipc_types::messages::{Setpoint, Trajectory, WorldTruth};
+use ipc_types::messages::{Health, Setpoint, Trajectory, WorldTruth};
 use ipc_types::wire::Stamp;
-use ipc_types::{FlightTime, Point, Vector, World};
+use ipc_types::{FlightTime, Point, ProcessId, Vector, World};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -44,6 +44,8 @@ pub struct Summary {
     pub clock_ratio: f64,
     /// The processes; empty in lockstep.
     pub processes: Vec<ProcessSummary>,
+    /// Messages lost, by process; those that lost none are left out.
+    pub losses: BTreeMap<String, Losses>,
     /// Restarts of all processes.
     pub restarts: u32,
     /// Hash of every message, in lockstep.
@@ -64,6 +66,15 @@ pub struct LatencySummary {
     pub max_ms: f64,
 }
 
+/// Messages that a process could not use, over all its incarnations.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Losses {
+    /// Refused: malformed, late or unusable, or shared memory was full.
+    pub dropped: u64,
+    /// Gave way to newer ones before they were received, or were lost on the way.
+    pub missed: u64,
+}
+
 /// A process at the end of the flight.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ProcessSummary {
@@ -75,8 +86,6 @@ pub struct ProcessSummary {
     pub restarts: u32,
     /// Longest time from a death to the successor's first heartbeat, ms.
     pub longest_recovery_ms: Option<f64>,
-    /// Messages refused.
-    pub dropped: u64,
     /// Longest step that published, ms.
     pub longest_step_ms: f64,
 }
@@ -89,7 +98,6 @@ impl ProcessSummary {
             pid: status.pid,
             restarts: status.restarts,
             longest_recovery_ms: status.longest_recovery_s.map(|seconds| seconds * 1e3),
-            dropped: status.health.map_or(0, |health| health.dropped),
             longest_step_ms: status.health.map_or(0.0, |health| health.longest_step_ns as f64 * 1e-6),
         }
     }
@@ -119,6 +127,8 @@ pub struct Recorder {
     min_clearance_m: f64,
     max_speed_mps: f64,
     cruise_speed_mps: f64,
+    /// By process and incarnation, whose counts begin at zero.
+    losses: BTreeMap<(u32, u32), Losses>,
 }
 
 impl Recorder {
@@ -137,7 +147,24 @@ impl Recorder {
             min_clearance_m: f64::INFINITY,
             max_speed_mps: 0.0,
             cruise_speed_mps: 0.0,
+            losses: BTreeMap::new(),
         }
+    }
+
+    pub(crate) fn health(&mut self, health: &Health) {
+        let losses = Losses { dropped: health.dropped, missed: health.missed };
+        self.losses.insert((health.stamp.producer, health.stamp.incarnation), losses);
+    }
+
+    fn losses(&self) -> BTreeMap<String, Losses> {
+        let mut sums = BTreeMap::<String, Losses>::new();
+        for ((producer, _), losses) in self.losses.iter().filter(|(_, losses)| **losses != Losses::default()) {
+            let name = ProcessId::from_wire(*producer).map_or("unknown", ProcessId::name);
+            let sum = sums.entry(name.to_owned()).or_default();
+            sum.dropped = sum.dropped.saturating_add(losses.dropped);
+            sum.missed = sum.missed.saturating_add(losses.missed);
+        }
+        sums
     }
 
     /// A stage published what it made of an image.
@@ -231,6 +258,7 @@ impl Recorder {
             exposure_to_command: summarise(&self.exposure_to_command),
             clock_ratio: truth.map_or(0.0, |truth| truth.clock_ratio),
             processes: Vec::new(),
+            losses: self.losses(),
             restarts: 0,
             log_hash: None,
         }

@@ -101,12 +101,13 @@ pub fn drive<P: Process>(mut process: P, run: &RunDir, rig: &StereoRig, options:
 }
 
 fn beat(ports: &mut IpcPorts, heart: &Heart, report: &Report) {
-    let (now, failures) = (ports.now(), ports.failures());
+    let (now, failures, missed) = (ports.now(), ports.failures(), ports.missed());
     ports.publish::<HealthReports>(now, 0, |health, _| {
         health.level = report.level as u32;
         health.pid = std::process::id();
         health.steps = heart.steps;
         health.dropped = report.dropped + failures;
+        health.missed = missed;
         health.last_step_ns = heart.last_step.as_nanos() as i64;
         health.longest_step_ns = heart.longest_step.as_nanos() as i64;
         health.note = Text::from(report.note);

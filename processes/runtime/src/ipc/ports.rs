@@ -4,6 +4,7 @@ use super::bus::{ElementOf, HeaderOf, bell_name, config, node, opening, schema, 
 use super::clock::ClockFollower;
 use super::{IpcError, While};
 use crate::images::ImageStore;
+use crate::missed::Missed;
 use crate::ports::{Connect, Message, Ports, host_now};
 use crate::run_dir::RunDir;
 use bytemuck::{TransparentWrapper, Zeroable};
@@ -76,6 +77,7 @@ pub struct IpcPorts {
     now: FlightTime,
     images: ImageStore,
     failures: u64,
+    missed: Missed,
     first_error: Option<IpcError>,
 }
 
@@ -117,6 +119,7 @@ impl IpcPorts {
             now: FlightTime::ZERO,
             images: ImageStore::Folder(run.images()),
             failures: 0,
+            missed: Missed::default(),
             first_error: None,
         };
         connect(&mut ports);
@@ -129,6 +132,11 @@ impl IpcPorts {
     /// Messages that could not be published or received because shared memory refused, since start.
     pub fn failures(&self) -> u64 {
         self.failures
+    }
+
+    /// Messages that should have woken the process and that it never saw, since start.
+    pub fn missed(&self) -> u64 {
+        self.missed.count()
     }
 
     /// Sleeps until the bell rings, a signal arrives, or `timeout` passes.
@@ -272,7 +280,11 @@ impl Ports for IpcPorts {
     fn receive<T: Topic>(&mut self) -> Option<IpcMessage<T>> {
         let port = self.incoming.get(T::INFO.name)?.downcast_ref::<Incoming<T>>()?;
         match port.subscriber.receive() {
-            Ok(sample) => sample.map(IpcMessage),
+            Ok(sample) => {
+                let message: IpcMessage<T> = sample.map(IpcMessage)?;
+                self.missed.received(&T::INFO, self.process, message.header().stamp());
+                Some(message)
+            }
             Err(_) => {
                 self.failures += 1;
                 None

@@ -1,6 +1,7 @@
 //! Topics of the lockstep driver: queues in one thread, with a hash over all that was said.
 
 use crate::images::ImageStore;
+use crate::missed::Missed;
 use crate::ports::{Connect, Message, Ports};
 use bytemuck::Zeroable;
 use ipc_types::topics::{RECORDER_DEPTH, RECORDER_IMAGE_DEPTH, Topic, TopicInfo};
@@ -63,6 +64,11 @@ impl Bus {
         woken
     }
 
+    /// A message that the latency model loses.
+    pub(super) fn lose(&mut self, message: u64) {
+        self.in_flight.remove(&message);
+    }
+
     fn subscribe(&mut self, info: &TopicInfo, process: ProcessId) {
         let depth = match (process, info.is_image) {
             (ProcessId::Recorder, true) => RECORDER_IMAGE_DEPTH,
@@ -84,6 +90,7 @@ pub struct LockstepPorts {
     sequences: HashMap<&'static str, u64>,
     published: Vec<(FlightTime, u64)>,
     images: ImageStore,
+    missed: Missed,
 }
 
 impl std::fmt::Debug for LockstepPorts {
@@ -102,12 +109,18 @@ impl LockstepPorts {
             sequences: HashMap::new(),
             published: Vec::new(),
             images: ImageStore::in_memory(),
+            missed: Missed::default(),
         }
     }
 
     /// Shares the image store of another process' ports.
     pub(super) fn share_images(&mut self, images: ImageStore) {
         self.images = images;
+    }
+
+    /// Messages that should have woken the process and that it never saw, since start.
+    pub(super) fn missed(&self) -> u64 {
+        self.missed.count()
     }
 
     /// Starts a step at `now` whose messages arrive at `done`.
@@ -141,7 +154,9 @@ impl Ports for LockstepPorts {
         let subscriptions = bus.subscriptions.get_mut(T::INFO.name)?;
         let subscription = subscriptions.iter_mut().find(|subscription| subscription.process == self.process)?;
         let content = subscription.queue.pop_front()?;
-        content.downcast().ok().map(LockstepMessage)
+        let message: LockstepMessage<T> = content.downcast().ok().map(LockstepMessage)?;
+        self.missed.received(&T::INFO, self.process, message.header().stamp());
+        Some(message)
     }
 
     fn publish<T: Topic>(

@@ -195,7 +195,9 @@ impl Lockstep {
         let published = slot.node.ports().take_published();
         let next_wake = slot.node.next_wake();
         for (at, message) in published {
-            if !dropped {
+            if dropped {
+                self.bus.borrow_mut().lose(message);
+            } else {
                 self.push(at, Event::Deliver(message));
             }
         }
@@ -206,11 +208,13 @@ impl Lockstep {
 }
 
 fn beat(ports: &mut LockstepPorts, now: FlightTime, steps: u64, report: &Report) {
+    let missed = ports.missed();
     // Host time and process numbers stay out: they would make the log unrepeatable.
     ports.publish::<HealthReports>(now, 0, |health, _| {
         health.level = report.level as u32;
         health.steps = steps;
         health.dropped = report.dropped;
+        health.missed = missed;
         health.note = Text::from(report.note);
     });
 }
