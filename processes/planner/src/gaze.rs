@@ -11,8 +11,8 @@ use ipc_types::{FlightTime, Point, World};
 const ALIGNED_RAD: f64 = 0.14;
 /// Longest that a turn may take, s.
 const TURN_S: f64 = 4.0;
-/// What was looked at is forgotten after this long, s: later than all looks from one place and a whole turn take ...
-const FORGET_S: f64 = 35.0;
+/// What was looked at is forgotten after this long, s: longer than most looks from one place and a whole turn take ...
+const FORGET_S: f64 = 25.0;
 /// ... or this far away, m.
 const FORGET_M: f64 = 0.7;
 /// Share of the camera's half view that counts as seen: towards the edge a body is not seen whole.
@@ -111,7 +111,7 @@ mod tests {
         assert_eq!(gaze.turning(FlightTime::from_secs_f64(1.0), 1.45), None, "aligned");
         assert!(gaze.has_looked(1.7, &at(2.0, here), HALF_VIEW_RAD));
         assert!(!gaze.has_looked(-1.5, &at(2.0, here), HALF_VIEW_RAD), "the other side");
-        assert!(!gaze.has_looked(1.7, &at(40.0, here), HALF_VIEW_RAD), "long ago");
+        assert!(!gaze.has_looked(1.7, &at(30.0, here), HALF_VIEW_RAD), "long ago");
         assert!(!gaze.has_looked(1.7, &at(2.0, Point::new(2.0, 0.0, 2.0)), HALF_VIEW_RAD), "elsewhere");
     }
 

@@ -233,8 +233,8 @@ impl Planner {
         let (mut tally, mut cheapest, mut course) = (Tally::default(), f64::INFINITY, Course::None);
         let near_goal = from.position.distance(goal) < LEFT_M;
         let looked = gaze.looks(situation);
-        let looks_first = situation.velocity.norm() < LOOK_FIRST_MPS && !near_goal && looked < LOOKS;
-        // Every look from here makes the next one dearer, or the vehicle would never be done with looking.
+        let looks_first = situation.velocity.norm() < LOOK_FIRST_MPS && !near_goal;
+        // Every look from here makes turning away dearer, or the vehicle would never be done with looking.
         let look_price_m = config.look_price_m * (1 + looked) as f64;
         library::for_each(config, from.position, goal, situation.cruise_mps, |index, target| {
             tally.candidates += 1;
@@ -251,9 +251,10 @@ impl Planner {
             let mut price = to_goal_m + off_height + stuck.price(end);
             price -= if is_flying { config.hysteresis_m } else { 0.0 };
             let heading_rad = way.y.atan2(way.x);
-            let looks = looks_first && !is_seen(heading_rad, situation.yaw_rad, view.half_view_rad());
+            let turns = looks_first && !is_seen(heading_rad, situation.yaw_rad, view.half_view_rad());
+            let looks = turns && looked < LOOKS;
             let is_promise = looks && !gaze.has_looked(heading_rad, situation, view.half_view_rad());
-            price += if looks { look_price_m } else { 0.0 };
+            price += if turns { look_price_m } else { 0.0 };
             if stands_still || price >= cheapest {
                 return;
             }
