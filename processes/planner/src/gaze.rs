@@ -11,8 +11,8 @@ use ipc_types::{FlightTime, Point, World};
 const ALIGNED_RAD: f64 = 0.14;
 /// Longest that a turn may take, s.
 const TURN_S: f64 = 4.0;
-/// What was looked at is forgotten after this long, s: longer than most looks from one place and a whole turn take ...
-const FORGET_S: f64 = 25.0;
+/// What was looked at is forgotten after this long, s ...
+const FORGET_S: f64 = 12.0;
 /// ... or this far away, m.
 const FORGET_M: f64 = 0.7;
 /// Share of the camera's half view that counts as seen: towards the edge a body is not seen whole.

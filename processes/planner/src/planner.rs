@@ -191,6 +191,7 @@ impl Planner {
                 return Plan { tally, ..plan(mode) };
             }
             Course::Look(heading_rad) => {
+                self.stuck.moving();
                 self.gaze.look(heading_rad, situation.now, situation.position);
                 self.turn(from, situation.yaw_rad, heading_rad);
                 return Plan { tally, ..plan(PlanMode::LookAround) };
