@@ -3,9 +3,9 @@
 //! rasteriser. Both only find what each pixel sees: no ground, no texture, no sensor.
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use euc::Pipeline;
 use euc::buffer::Buffer2d;
 use euc::rasterizer::{BackfaceCullingDisabled, Triangles};
+use euc::{Pipeline, Target as _};
 use ipc_types::{Pose, Rotation, StereoRig, Vector};
 use parry3d::math::{Pose as Isometry, Vector as Vec3};
 use parry3d::partitioning::{Bvh, BvhBuildStrategy};
