@@ -21,7 +21,7 @@ pub struct BackgroundRule {
     pub limit_m: f32,
     /// Share of the depth of the first return below, 0..1.
     pub share: f32,
-    /// Least share of the column's pixels that must be textureless rather than unmatched, 0..1.
+    /// Least share of textureless rather than unmatched pixels, in every stretch between returns, 0..1.
     pub textureless_share: f32,
 }
 
