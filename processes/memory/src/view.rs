@@ -36,6 +36,30 @@ impl Safe {
     }
 }
 
+/// Views whose votes for occupied count in full.
+const WITNESSES: f32 = 2.0;
+
+/// Votes that a point is occupied.
+///
+/// Far views pad an obstacle by what they cannot resolve, and err together as well: their sum counts for no more than
+/// twice the strongest of them, or a view from half of the distance could not clear what a row of them padded.
+#[derive(Clone, Copy, Default)]
+struct Occupied {
+    sum: f32,
+    strongest: f32,
+}
+
+impl Occupied {
+    fn vote(&mut self, weight: f32) {
+        self.sum += weight;
+        self.strongest = self.strongest.max(weight);
+    }
+
+    fn sum(self) -> f32 {
+        self.sum.min(WITNESSES * self.strongest)
+    }
+}
+
 /// Why a point is unknown.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, PartialOrd, Ord)]
 pub enum Unknown {
@@ -61,7 +85,7 @@ pub enum Occupancy {
 /// The sum of the votes on a point, before a threshold makes an answer of it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Score {
-    /// Eq. 3.11: occupied votes minus half of the others, which count for no more than the strongest free vote.
+    /// Eq. 3.11: occupied votes minus half of the others, either capped by its strongest vote.
     pub sum: f32,
     /// Whether any view vouches for free space.
     pub vouched: bool,
@@ -165,6 +189,7 @@ impl View {
     /// The sum of the keyframes' votes on a point (Table 3.1).
     pub fn score(&self, point: Point<World>) -> Score {
         let mut score = Score { sum: 0.0, vouched: false, unknown: Unknown::OutOfView };
+        let mut occupied = Occupied::default();
         let (mut safe, mut background) = (Safe::default(), Safe::default());
         for key in &self.keys {
             match self.vote(key, point) {
@@ -174,7 +199,7 @@ impl View {
                     safe.occluded(weight);
                     score.unknown = Unknown::Occluded;
                 }
-                Vote::Occupied(weight) => score.sum += weight,
+                Vote::Occupied(weight) => occupied.vote(weight),
                 Vote::Free(weight) => {
                     safe.free(weight);
                     score.vouched = true;
@@ -190,7 +215,7 @@ impl View {
             safe.sum += background.sum;
             safe.strongest_free = safe.strongest_free.max(background.strongest_free);
         }
-        score.sum -= safe.discount();
+        score.sum = occupied.sum() - safe.discount();
         score
     }
 
@@ -339,6 +364,16 @@ mod tests {
         wall(&mut view, -8.0, 9.0, 12.0);
         assert_eq!(at(&view, 2.0), Occupancy::Occupied);
         wall(&mut view, 0.0, 15.0, 20.0);
+        assert_eq!(at(&view, 2.0), Occupancy::Free);
+    }
+
+    #[test]
+    fn a_row_of_far_views_does_not_block_what_a_near_one_clears() {
+        let mut view = view();
+        (0..10).for_each(|i| wall(&mut view, -8.0 - 0.3 * f64::from(i), 9.0, 12.0));
+        assert_eq!(at(&view, 2.0), Occupancy::Occupied);
+        wall(&mut view, 0.0, 15.0, 20.0);
+        wall(&mut view, -0.5, 15.0, 20.0);
         assert_eq!(at(&view, 2.0), Occupancy::Free);
     }
 

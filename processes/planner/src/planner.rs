@@ -83,8 +83,8 @@ pub struct Planner {
     draft: Draft,
 }
 
-/// Distance to the goal at which it counts as reached, m.
-const ARRIVED_M: f64 = 0.4;
+/// Distance to the goal at which it counts as reached, m. The rest is closed slowly, as far as it is free.
+const ARRIVED_M: f64 = 0.7;
 /// Distance at which a vehicle that had arrived sets out again, m.
 const LEFT_M: f64 = 1.0;
 /// Farther than this from the take-off place the vehicle is not taking off, m.

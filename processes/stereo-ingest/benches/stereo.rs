@@ -28,6 +28,7 @@ fn bench(criterion: &mut Criterion) {
             left_right_px: 1,
             least_texture: 1.5,
             speckle_area_px: 60,
+            speckle_size_m: 0.04,
             speckle_step_px: 1.0,
         };
         let mut matcher = Matcher::new(&rig, config);

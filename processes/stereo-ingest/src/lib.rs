@@ -47,6 +47,8 @@ pub struct Config {
     pub least_texture: f32,
     /// Connected areas smaller than this are removed, px.
     pub speckle_area_px: u32,
+    /// ... and so are areas smaller than a square of this side at their own distance, m.
+    pub speckle_size_m: f32,
     /// Largest step within a connected area, px.
     pub speckle_step_px: f32,
 }
@@ -73,6 +75,7 @@ impl Config {
         bounds.range("left_right_px", self.left_right_px, 0..=16);
         bounds.range("least_texture", self.least_texture, 0.0..=100.0);
         bounds.range("speckle_area_px", self.speckle_area_px, 0..=10_000);
+        bounds.range("speckle_size_m", self.speckle_size_m, 0.0..=0.2);
         bounds.range("speckle_step_px", self.speckle_step_px, 0.1..=16.0);
     }
 }

@@ -4,7 +4,7 @@ use crate::Config;
 use crate::aggregate::{Penalties, SENTINEL, advance, array, array_mut};
 use crate::census::{census, distances, padded_len};
 use crate::select::{Consistency, RightMatches, select_row};
-use crate::speckle::Speckles;
+use crate::speckle::{Least, Speckles};
 use crate::texture::Texture;
 use ipc_types::StereoRig;
 use ipc_types::disparity::{SCALE, TEXTURELESS, is_valid};
@@ -43,6 +43,7 @@ pub struct Matcher {
     volume: Volume,
     texture: Texture,
     speckles: Speckles,
+    least: Least,
 }
 
 /// The cost volume and the path costs that are being followed through it.
@@ -92,6 +93,11 @@ impl Matcher {
             },
             texture: Texture::new(width),
             speckles: Speckles::new(pixels),
+            least: Least {
+                area_px: config.speckle_area_px as usize,
+                side_baselines: config.speckle_size_m / rig.baseline_m as f32,
+                doffs_px: rig.doffs_px as f32,
+            },
         }
     }
 
@@ -122,7 +128,7 @@ impl Matcher {
         let blank = |row: usize, column: usize| disparity[row * width + column] = TEXTURELESS;
         self.texture.find_blank(left, self.config.least_texture, blank);
         let step = (self.config.speckle_step_px * SCALE) as u16;
-        self.speckles.remove(disparity, width, self.config.speckle_area_px as usize, step);
+        self.speckles.remove(disparity, width, self.least, step);
         Ok(MatchStatistics {
             valid: disparity.iter().filter(|&&pixel| is_valid(pixel)).count(),
             textureless: disparity.iter().filter(|&&pixel| pixel == TEXTURELESS).count(),

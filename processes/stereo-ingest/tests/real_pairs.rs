@@ -46,6 +46,7 @@ fn real_pairs_are_matched_densely_and_soundly() {
             left_right_px: 1,
             least_texture: 1.0,
             speckle_area_px: 60,
+            speckle_size_m: 0.04,
             speckle_step_px: 1.0,
         };
         let truth = folder.join("derived_gt_u16x256.png");
