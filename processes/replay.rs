@@ -8,7 +8,7 @@ use ipc_types::disparity::is_valid;
 use ipc_types::messages::{ExpandedPlanes, Keyframe, UNKNOWN_FRONT};
 use ipc_types::topics::{Disparity, Expanded, HealthReports, Keyframes, StereoFrames, Topic};
 use ipc_types::wire::Header;
-use ipc_types::{Camera, Point, Pose, ProcessId, StereoRig, Vector, World};
+use ipc_types::{Body, Point, Pose, ProcessId, StereoRig, World};
 use memory::{FreeSpace, Occupancy, View};
 use runtime::ipc::{IpcPorts, Services};
 use runtime::run_dir::RunDir;
@@ -99,7 +99,7 @@ struct ReplaySummary {
     valid_percent: f64,
     textureless_percent: f64,
     expanded_unknown_percent: f64,
-    /// Points of a grid before the camera.
+    /// Points asked, all in view of the camera.
     occupancy_points: usize,
     free_percent: f64,
     occupied_percent: f64,
@@ -286,17 +286,18 @@ impl Products {
     }
 }
 
-/// Points before the camera, a quarter of a metre apart: free, occupied, unknown.
-fn occupancy_grid(config: &FlightConfig, view: &View) -> [usize; 3] {
-    let camera: Pose<ipc_types::Body, Camera> = config.vehicle.mount.body_from_camera();
-    let origin = Point::<World>::ZERO + Vector::from_array(camera.translation.to_array());
+/// Points that the camera looks at, on every eighth pixel's ray from 0.5 m to 12 m: free, occupied, unknown.
+fn occupancy_in_view(config: &FlightConfig, view: &View) -> [usize; 3] {
+    let rig = config.vehicle.rig;
+    // The vehicle stands at the world's origin and looks along its x axis.
+    let world_from_camera = Pose::<World, Body>::IDENTITY * config.vehicle.mount.body_from_camera();
     let mut counts = [0; 3];
-    for ahead in 2..=48 {
-        for left in -16..=16 {
-            for up in -8..=8 {
-                let offset = Vector::new(f64::from(ahead), f64::from(left), f64::from(up)) * 0.25;
-                let answer = view.occupancy(origin + offset, config.vehicle.planner.gamma_low);
-                counts[match answer {
+    for row in (0..rig.height_px).step_by(8) {
+        for column in (0..rig.width_px).step_by(8) {
+            for depth_m in std::iter::successors(Some(0.5), |depth_m| Some(depth_m * 1.1)).take_while(|&m| m <= 12.0) {
+                let place = rig.back_project(f64::from(column), f64::from(row), rig.disparity_px(depth_m));
+                let place = world_from_camera * place;
+                counts[match view.occupancy(place, config.vehicle.planner.gamma_low) {
                     Occupancy::Free => 0,
                     Occupancy::Occupied => 1,
                     Occupancy::Unknown(_) => 2,
@@ -323,7 +324,7 @@ fn summarise(
     let count = |code: fn(&u16) -> bool| disparity.iter().filter(|pixel| code(pixel)).count();
     let unknown = ExpandedPlanes::split(planes, rig.pixels())
         .map_or(0, |planes| planes.front.iter().filter(|&&front| front == UNKNOWN_FRONT).count());
-    let counts = occupancy_grid(config, view);
+    let counts = occupancy_in_view(config, view);
     let points = counts.iter().sum();
     let ms = |from: i64, to: i64| (to - from) as f64 * 1e-6;
     ReplaySummary {
@@ -374,7 +375,7 @@ fn print(summary: &ReplaySummary) {
         summary.expanded_unknown_percent, summary.expansion_ms
     );
     println!(
-        "occupancy              {:.1} % free, {:.1} % occupied, {:.1} % unknown of {} points up to 12 m ahead; {} keyframe(s), {:.1} ms",
+        "occupancy              {:.1} % free, {:.1} % occupied, {:.1} % unknown of {} points in view, 0.5 to 12 m deep; {} keyframe(s), {:.1} ms",
         summary.free_percent,
         summary.occupied_percent,
         summary.unknown_percent,

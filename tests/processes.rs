@@ -6,23 +6,28 @@ use common::{Run, real_time};
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 use std::collections::HashSet;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 fn kill(pid: u32, signal: Signal) {
     kill_process(Pid::from_raw(pid as i32).expect("a process number"), signal).expect("killed");
 }
 
-/// A kill has to come in the middle of a flight, and there is no event to wait for.
-fn let_it_fly(seconds: u64) {
-    std::thread::sleep(Duration::from_secs(seconds));
+/// Every message of a topic in a run's log, or in what was written of it so far.
+fn logged(run: &Run, topic: &str) -> Vec<Value> {
+    let bytes = std::fs::read(run.log()).unwrap_or_default();
+    let Ok(messages) = mcap::MessageStream::new(&bytes) else { return Vec::new() };
+    let of_topic = messages.map_while(Result::ok).filter(|message| message.channel.topic == topic);
+    of_topic.map(|message| serde_json::from_slice(&message.data).expect("JSON")).collect()
 }
 
-/// Every message of a topic in a run's log.
-fn logged(run: &Run, topic: &str) -> Vec<Value> {
-    let bytes = std::fs::read(run.log()).expect("a log");
-    let messages = mcap::MessageStream::new(&bytes).expect("an MCAP file").map(|message| message.expect("intact"));
-    let of_topic = messages.filter(|message| message.channel.topic == topic);
-    of_topic.map(|message| serde_json::from_slice(&message.data).expect("JSON")).collect()
+/// Waits until the vehicle is that far on its way, going by the log, which is written out twice a second.
+fn let_it_fly_past(run: &Run, x_m: f64) {
+    let started = Instant::now();
+    let is_past = |truth: &Value| truth["position_m"][0].as_f64().is_some_and(|x| x >= x_m);
+    while !logged(run, "world_truth").iter().any(is_past) {
+        assert!(started.elapsed() < Duration::from_secs(60), "it never got {x_m} m far");
+        std::thread::sleep(Duration::from_millis(100));
+    }
 }
 
 #[test]
@@ -52,10 +57,8 @@ fn the_default_flight_arrives_with_eight_processes_and_a_readable_log() {
 fn killed(run: &Run, victims: &[&str]) -> common::Flown {
     let _alone = real_time();
     let flight = run.start(&["--seed", "2", "--speed", "4"]);
-    run.wait_for_process("simulator");
-    let_it_fly(6);
-    for process in victims {
-        let_it_fly(2);
+    for (index, process) in victims.iter().enumerate() {
+        let_it_fly_past(run, 12.0 + 7.0 * index as f64);
         kill(run.wait_for_process(process), Signal::KILL);
     }
     let flown = run.flown(flight.wait_with_output().expect("ends"));
@@ -99,8 +102,7 @@ fn an_interrupt_stops_everything_cleanly() {
     let _alone = real_time();
     let run = Run::new("interrupt");
     let flight = run.start(&[]);
-    run.wait_for_process("simulator");
-    let_it_fly(3);
+    let_it_fly_past(&run, 3.0);
     kill(flight.id(), Signal::INT);
     let flown = run.flown(flight.wait_with_output().expect("ends"));
     assert_eq!(flown.outcome(), "interrupted");

@@ -16,10 +16,13 @@ fn replay(run: &Run, arguments: &[&str]) -> Value {
     serde_json::from_str(&std::fs::read_to_string(run.path("summary.json")).expect("a summary")).expect("JSON")
 }
 
-fn assert_digested(summary: &Value) {
+/// `least_valid`: percent of the pixels that must be matched.
+fn assert_digested(summary: &Value, least_valid: f64) {
     let number = |key: &str| summary[key].as_f64().unwrap_or_else(|| panic!("{key}: {summary}"));
-    assert!(number("valid_percent") > 20.0, "{summary}");
-    // A body among unmatched pixels is vouched for by no single view: a cluttered pair may well be all unknown.
+    assert!(number("valid_percent") > least_valid, "{summary}");
+    // A body among unmatched pixels is vouched for by no single view: a cluttered pair may well have no free space.
+    assert!(number("occupied_percent") > 2.0, "{summary}");
+    assert!(number("expanded_unknown_percent") < 10.0, "{summary}");
     let shares = ["free_percent", "occupied_percent", "unknown_percent"].map(number);
     assert!((shares.iter().sum::<f64>() - 100.0).abs() < 1e-6, "{summary}");
     assert_eq!(summary["keyframes"], 1);
@@ -29,13 +32,14 @@ fn assert_digested(summary: &Value) {
 fn oak_d_pairs_are_digested() {
     let Some(data) = data() else { return };
     let folder = data.join("oakd_indoor_nogt");
-    for scene in ["corridor", "toy"] {
+    // The corridor is mostly blank walls.
+    for (scene, least_valid) in [("corridor", 20.0), ("toy", 55.0)] {
         let run = Run::new(scene);
         let image = |side: &str| folder.join(format!("{scene}_{side}.png")).display().to_string();
         let (left, right) = (image("left"), image("right"));
         let arguments =
             [left.as_str(), &right, "--focal", "451.0345", "--baseline", "0.075", "--centre", "299.038,255.165"];
-        assert_digested(&replay(&run, &arguments));
+        assert_digested(&replay(&run, &arguments), least_valid);
     }
 }
 
@@ -50,7 +54,7 @@ fn motorcycle_and_kitti_are_digested_and_scored() {
     ];
     let calibration =
         ["--focal", "994.978", "--baseline", "0.193001", "--centre", "311.193,254.877", "--doffs", "31.086"];
-    score(&data, "motorcycle", motorcycle, &calibration);
+    score(&data, "motorcycle", motorcycle, &calibration, 70.0);
     let kitti = [
         "kitti2012_pair_gt/kittiL.png",
         "kitti2012_pair_gt/kittiR.png",
@@ -59,17 +63,17 @@ fn motorcycle_and_kitti_are_digested_and_scored() {
     ];
     let calibration =
         ["--focal", "707.0912", "--baseline", "0.53715", "--centre", "601.8873,183.1104", "--max-disparity", "96"];
-    let summary = score(&data, "kitti", kitti, &calibration);
+    let summary = score(&data, "kitti", kitti, &calibration, 50.0);
     assert!(summary["free_percent"].as_f64().expect("a number") > 5.0, "{summary}");
 }
 
-fn score(data: &std::path::Path, name: &str, files: [&str; 4], calibration: &[&str]) -> Value {
+fn score(data: &std::path::Path, name: &str, files: [&str; 4], calibration: &[&str], least_valid: f64) -> Value {
     let run = Run::new(name);
     let [left, right, truth, mask] = files.map(|file| data.join(file).display().to_string());
     let mut arguments = vec![left.as_str(), &right, "--ground-truth", &truth, "--mask", &mask, "--out", "made"];
     arguments.extend_from_slice(calibration);
     let summary = replay(&run, &arguments);
-    assert_digested(&summary);
+    assert_digested(&summary, least_valid);
     let error = &summary["disparity_error"];
     assert!(error["bad_percent"][1].as_f64().expect("scored") < 6.0, "{error}");
     assert!(error["density_percent"].as_f64().expect("scored") > 70.0, "{error}");
