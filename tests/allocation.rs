@@ -1,17 +1,60 @@
 //! After warm-up the cores that every image passes allocate nothing.
 
 use expansion::Expander;
-use ipc_types::disparity::decode;
+use ipc_types::disparity::{decode, encode};
+use ipc_types::{Body, FlightTime, Point, Pose, Vector, World};
+use memory::{FreeSpace, View};
+use planner::{Planner, Situation};
 use sparrowhawk::config::FlightConfig;
 use stats_alloc::{INSTRUMENTED_SYSTEM, Region, StatsAlloc};
 use std::alloc::System;
+use std::sync::Mutex;
 use stereo_ingest::Matcher;
 
 #[global_allocator]
 static ALLOCATOR: &StatsAlloc<System> = &INSTRUMENTED_SYSTEM;
 
+/// The allocator's counts belong to the whole program: one test at a time.
+static ALONE: Mutex<()> = Mutex::new(());
+
+#[test]
+fn planning_allocates_nothing() {
+    let _alone = ALONE.lock();
+    let config = FlightConfig::load(None, None).expect("loads");
+    let vehicle = &config.vehicle;
+    let rig = vehicle.rig;
+    let mut view = View::new(rig, vehicle.noise, FreeSpace::new(vehicle.memory.free_space, Point::ZERO));
+    // A wall far ahead, seen from the way to where the vehicle is.
+    let value = |depth_m: f64| encode(rig.disparity_px(depth_m) as f32);
+    let planes: Vec<u16> = [value(25.0), value(30.0), value(0.5)].iter().flat_map(|&v| vec![v; rig.pixels()]).collect();
+    for metre in 0..vehicle.memory.graph.keyframes {
+        let body =
+            Pose { translation: Vector::new(f64::from(metre as u32), 0.0, 2.0), ..Pose::<World, Body>::IDENTITY };
+        assert!(view.push(body * vehicle.mount.body_from_camera(), planes.clone().into()));
+    }
+    let mut planner = Planner::new(vehicle.planner.clone(), config.mission.fence, Point::ZERO);
+    let mut step = |tick: i64| {
+        let now = FlightTime::from_nanos(80_000_000 * tick);
+        let position = Point::new(6.0 + 0.2 * tick as f64, 0.0, 2.0);
+        let velocity = Vector::new(2.5, 0.0, 0.0);
+        let (goal, yaw_rad, cruise_mps) = (config.mission.goal(), 0.0, config.mission.cruise_speed_mps);
+        let situation =
+            Situation { now, state_valid: now, position, velocity, yaw_rad, goal, cruise_mps, image_valid: now };
+        planner.step(&situation, &view)
+    };
+    for tick in 0..3 {
+        step(tick);
+    }
+    let region = Region::new(ALLOCATOR);
+    let plan = step(3);
+    let change = region.change();
+    assert_eq!((change.allocations, change.reallocations), (0, 0), "{change:?}");
+    assert!(plan.tally.candidates > 100 && plan.tally.admissible > 0, "it does its work: {plan:?}");
+}
+
 #[test]
 fn matching_and_expanding_allocate_nothing() {
+    let _alone = ALONE.lock();
     let vehicle = FlightConfig::load(None, None).expect("loads").vehicle;
     let rig = vehicle.rig;
     let (width, pixels) = (rig.width_px as usize, rig.pixels());
