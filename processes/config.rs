@@ -239,6 +239,8 @@ impl FlightConfig {
         bounds.section("graph", |bounds| self.graph.check(bounds));
         bounds.section("mission", |bounds| self.mission.check(bounds));
         self.check_stopping(&mut bounds);
+        self.check_places(&mut bounds);
+        self.check_deadlines(&mut bounds);
         impossible(bounds)
     }
 
@@ -276,12 +278,6 @@ impl FlightConfig {
             "mission.cruise_speed_mps",
             format_args!("is {speed_mps} m/s: stopping takes {stopping_m:.1} m, but stereo is good for {range_m:.1} m"),
         );
-        let top_m = self.mission.fence.most_m[2];
-        bounds.require(
-            vehicle.planner.cruise_height_m < top_m,
-            "vehicle.planner.cruise_height_m",
-            format_args!("is {}, must be below the fence's top, {top_m} m", vehicle.planner.cruise_height_m),
-        );
         // Level acceleration at the candidates' limit against drag at cruise speed.
         let pull_mps2 = vehicle.planner.acceleration_mps2 + vehicle.simulator.vehicle.drag_hz * speed_mps;
         let tilt_deg = (pull_mps2 / 9.806_65).atan().to_degrees();
@@ -293,6 +289,43 @@ impl FlightConfig {
                 "is {}: tilted by {tilt_deg:.0} degrees the camera sees {margin_deg:.0} degrees above the flight path, at least 10 are needed",
                 vehicle.mount.pitch_up_deg
             ),
+        );
+    }
+
+    /// Take-off place and climb against fence and home cylinder.
+    fn check_places(&self, bounds: &mut Bounds) {
+        let (fence, start, height_m) = (self.mission.fence, self.mission.start_m, self.vehicle.planner.cruise_height_m);
+        bounds.require(
+            (fence.least_m[2]..fence.most_m[2]).contains(&height_m),
+            "vehicle.planner.cruise_height_m",
+            format_args!(
+                "is {height_m}, must be within the fence's heights, {}..{} m",
+                fence.least_m[2], fence.most_m[2]
+            ),
+        );
+        let is_inside = |axis: usize, place: f64| (fence.least_m[axis]..=fence.most_m[axis]).contains(&place);
+        bounds.require(
+            is_inside(0, start[0]) && is_inside(1, start[1]),
+            "mission.start_m",
+            format_args!("is {start:?}, must be inside the fence"),
+        );
+        let home_m = self.vehicle.memory.free_space.home_height_m;
+        bounds.require(
+            home_m >= height_m,
+            "vehicle.memory.free_space.home_height_m",
+            format_args!("is {home_m}, must be at least planner.cruise_height_m = {height_m}: take-off climbs there"),
+        );
+    }
+
+    /// What counts as stale against how often and how late it comes.
+    fn check_deadlines(&self, bounds: &mut Bounds) {
+        let camera = self.vehicle.simulator.camera;
+        let oldest_s = 1.0 / camera.rate_hz + camera.latency_ms * 1e-3;
+        let deadline_s = self.vehicle.planner.image_deadline_s;
+        bounds.require(
+            deadline_s > oldest_s,
+            "vehicle.planner.image_deadline_s",
+            format_args!("is {deadline_s}, must exceed the camera's interval and latency, {oldest_s:.3} s"),
         );
     }
 }

@@ -9,7 +9,7 @@ use ipc_types::ProcessId;
 use recorder::RecorderProcess;
 use runtime::ipc::{IpcPorts, Services};
 use runtime::run_dir::RunDir;
-use runtime::{Connect, Process};
+use runtime::Process;
 use std::error::Error;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
@@ -162,7 +162,7 @@ fn fly_processes(
     let mut mission = Mission::new(config.mission);
     let mut ports = IpcPorts::open(run, ProcessId::Supervisor, 0, &config.vehicle.rig, |ports| {
         mission.connect(ports);
-        ports.reads::<ipc_types::topics::Clock>();
+        ports.follow_flight_clock();
     })?;
     let commands: std::io::Result<Vec<_>> =
         CHILDREN.map(|process| command(config, run, files.folder(), process)).into_iter().collect();

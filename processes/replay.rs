@@ -133,7 +133,7 @@ pub(crate) fn replay(arguments: &ReplayArguments) -> Result<ExitCode, Box<dyn Er
     config.vehicle.rig = rig;
     config.vehicle.stereo.max_disparity_px = arguments.max_disparity;
     config.vehicle.stereo.least_texture = arguments.least_texture;
-    config.vehicle.expansion.hole_px = arguments.hole.unwrap_or(pair.width_px / 12).min(128);
+    config.vehicle.expansion.hole_px = arguments.hole.unwrap_or((pair.width_px / 12).min(128));
     let truth = arguments.ground_truth.as_deref();
     let truth = truth.map(|path| GroundTruth::load(path, arguments.mask.as_deref(), pair.width_px, pair.height_px));
     let truth = truth.transpose()?;

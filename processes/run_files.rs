@@ -52,12 +52,25 @@ impl RunFiles {
         summary_copy: Option<&Path>,
     ) -> Result<Self, FileError> {
         if let Some(copy) = summary_copy {
-            fs::File::create(copy).map_err(at(copy))?;
+            // Writable, but as it is until there is a summary.
+            fs::File::options().append(true).create(true).open(copy).map_err(at(copy))?;
         }
         let folder = parent.join(name);
-        fs::create_dir_all(&folder).map_err(at(&folder))?;
+        fs::create_dir_all(parent).map_err(at(parent))?;
+        fs::create_dir(&folder).map_err(|error| match error.kind() {
+            io::ErrorKind::AlreadyExists => {
+                let advice =
+                    "exists already, and no run overwrites another's files: choose another --run, or remove it";
+                at(&folder)(io::Error::new(error.kind(), advice))
+            }
+            _ => at(&folder)(error),
+        })?;
         // Children run elsewhere; a relative path would mean another place to them.
         let folder = folder.canonicalize().map_err(at(&folder))?;
+        if folder.to_str().is_none() {
+            let problem = "is not UTF-8, which the processes' command lines need";
+            return Err(at(&folder)(io::Error::new(io::ErrorKind::InvalidInput, problem)));
+        }
         let path = folder.join(CONFIG);
         fs::write(&path, config.snapshot()).map_err(at(&path))?;
         Ok(Self { folder, summary_copy: summary_copy.map(Path::to_owned) })

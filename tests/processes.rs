@@ -46,8 +46,22 @@ fn the_default_flight_arrives_with_eight_processes_and_a_readable_log() {
     let bytes = std::fs::read(run.log()).expect("a log");
     let summary = mcap::Summary::read(&bytes).expect("readable").expect("indexed");
     let topics: HashSet<&str> = summary.channels.values().map(|channel| channel.topic.as_str()).collect();
-    for topic in ["vehicle_state", "trajectory", "setpoint", "keyframe_set", "world_truth", "health", "goal"] {
-        assert!(topics.contains(topic), "{topics:?}");
+    let counts = &summary.stats.as_ref().expect("statistics").channel_message_counts;
+    let has_messages = |topic: &str| {
+        summary.channels.iter().any(|(id, channel)| channel.topic == topic && counts.get(id).is_some_and(|&n| n > 0))
+    };
+    for topic in [
+        "vehicle_state",
+        "flight_clock",
+        "trajectory",
+        "setpoint",
+        "keyframe_set",
+        "flown_path",
+        "world_truth",
+        "health",
+        "goal",
+    ] {
+        assert!(has_messages(topic), "{topic} among {topics:?}");
     }
     assert!(summary.attachment_indexes.iter().any(|attachment| attachment.name == "config.ron"));
     run.assert_nothing_left();
@@ -84,11 +98,25 @@ fn a_killed_controller_means_braking_then_going_on() {
     assert_eq!(killed(&run, &["controller"]).outcome(), "arrived");
     let setpoints = logged(&run, "setpoint");
     let successor = setpoints.iter().find(|setpoint| setpoint["stamp"]["incarnation"] == 1).expect("a successor");
-    let speed = |setpoint: &Value| {
-        let velocity = setpoint["velocity_mps"].as_array().expect("a vector").iter();
+    let valid_s = |message: &Value| message["stamp"]["valid_ns"].as_f64().expect("a time") * 1e-9;
+    let speed = |truth: &Value| {
+        let velocity = truth["velocity_mps"].as_array().expect("a vector").iter();
         velocity.map(|v| v.as_f64().expect("a number").powi(2)).sum::<f64>().sqrt()
     };
-    assert!(speed(successor) < 0.5, "it begins by braking: {successor}");
+    let back_s = valid_s(successor);
+    let flown = logged(&run, "world_truth");
+    let speeds = |from_s: f64, to_s: f64| {
+        let within = flown.iter().filter(move |truth| (from_s..to_s).contains(&(valid_s(truth) - back_s)));
+        within.map(speed).collect::<Vec<_>>()
+    };
+    let (fastest_before, slowest, fastest_after) = (
+        speeds(-1.0, 0.0).into_iter().fold(0.0, f64::max),
+        speeds(-0.5, 1.5).into_iter().fold(f64::INFINITY, f64::min),
+        speeds(0.5, 10.0).into_iter().fold(0.0, f64::max),
+    );
+    println!("speed {fastest_before:.1} before, {slowest:.1} least, {fastest_after:.1} m/s after");
+    assert!(slowest < 0.8 * fastest_before, "it brakes: {fastest_before} to {slowest} m/s");
+    assert!(fastest_after > slowest + 0.5, "it goes on: {fastest_after} m/s");
 }
 
 #[test]

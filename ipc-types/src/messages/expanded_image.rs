@@ -15,7 +15,7 @@ wire! {
     /// | condition | answer |
     /// |---|---|
     /// | front = [`UNKNOWN_FRONT`] | unknown: no return |
-    /// | d > near limit | unknown: the vehicle's body there would reach pixels that were not measured |
+    /// | d > front and d > near limit | unknown: the vehicle's body there would reach pixels that were not measured |
     /// | d > front | free; if back = [`NEVER_OCCUPIED`], by the far-background rule |
     /// | front ≥ d > back | occupied |
     /// | otherwise | unknown: occluded |
@@ -30,7 +30,7 @@ wire! {
         height_px: u32,
         /// Radius by which obstacles were inflated, m.
         radius_m: f32,
-        /// Share of pixels of which nothing is known.
+        /// Share of pixels that vouch for free space at no distance.
         unknown_share: f32,
     }
 }

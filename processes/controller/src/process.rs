@@ -76,7 +76,8 @@ impl Process for ControllerProcess {
         if now < self.next || now == FlightTime::ZERO {
             return self.report.idle();
         }
-        self.next = now + self.interval;
+        // On the beat, unless one was missed altogether.
+        self.next = (self.next + self.interval).max(now);
         let command = self.tracker.step(now, self.state.as_ref(), self.reference.as_ref());
         let image = self.reference.as_ref().map_or(FlightTime::ZERO, |reference| reference.image);
         ports.publish::<Setpoints>(now, 0, |setpoint, _| {

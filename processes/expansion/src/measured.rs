@@ -40,8 +40,8 @@ const FOOT: usize = 12;
 const RETURNS_BELOW: usize = 4;
 
 /// Fills runs of codes between two disparities with the nearer of the two, where the run is explained: by at most
-/// `longest` stray pixels, or, along a row, by the shadow that the nearer surface casts on the farther one in the
-/// right image, which is as wide as their disparities differ. What is not explained stays unknown.
+/// `longest` stray pixels, or, along a row, by the shadow that a surface casts in the right image on a farther one to its
+/// left, which is as wide as their disparities differ. What is not explained stays unknown.
 pub(crate) fn fill_holes(line: &mut [u16], longest: usize, casts_shadows: bool) {
     let mut run = 0;
     let mut before = NO_MATCH;
@@ -51,7 +51,7 @@ pub(crate) fn fill_holes(line: &mut [u16], longest: usize, casts_shadows: bool) 
             run += 1;
             continue;
         }
-        let shadow = if casts_shadows { usize::from(before.abs_diff(pixel)) / SCALE as usize } else { 0 };
+        let shadow = if casts_shadows { usize::from(pixel.saturating_sub(before)) / SCALE as usize } else { 0 };
         if run > 0 && run <= longest + shadow && is_valid(before) {
             line[index - run..index].fill(before.max(pixel));
         }
@@ -185,10 +185,12 @@ mod tests {
         fill_holes(&mut line, 2, false);
         assert_eq!(line, [100, 300, 300, 300, 0, 0, 0, 0, 0, 0, 50, 0]);
         // 300 and 50 are 3 px apart: a shadow of 3 px and 2 stray pixels explain 5, not 6.
+        let mut line = [50, 0, 0, 0, 0, 0, 0, 300, 300, 0, 0, 0, 0, 50];
         fill_holes(&mut line, 2, true);
-        assert_eq!(line[4..10], [0; 6]);
+        assert_eq!(line[1..7], [0; 6]);
         fill_holes(&mut line, 3, true);
-        assert_eq!(line[4..10], [300; 6]);
+        assert_eq!(line[1..7], [300; 6]);
+        assert_eq!(line[9..13], [0; 4], "no shadow falls to the right");
     }
 
     #[test]

@@ -32,7 +32,9 @@ impl Tables {
         let px = |value: usize| value as f32 / SCALE;
         let near: Vec<u16> = (0..values)
             .map(|value| {
-                let end = f32::from(u16::MAX - 1).min((px(value) + noise.margin_px(px(value))) * SCALE).ceil() as u16;
+                let end = f32::from(u16::MAX - 1)
+                    .min((px(value) + noise.margin_px(px(value) + rig.doffs_px as f32)) * SCALE)
+                    .ceil() as u16;
                 if is_valid(value as u16) { (end + (end & 1)).min(u16::MAX - 1) } else { 0 }
             })
             .collect();
@@ -84,7 +86,7 @@ fn backs(rig: &StereoRig, noise: &NoiseModel, radius_m: f64, near: &[u16]) -> Ve
     // Keys that no disparity has are never looked up.
     for value in (usize::from(MINIMUM)..near.len()).rev() {
         let d_px = value as f32 / SCALE;
-        let depth_m = rig.depth_m(f64::from(d_px - noise.margin_px(d_px))) + radius_m;
+        let depth_m = rig.depth_m(f64::from(d_px - noise.margin_px(d_px + rig.doffs_px as f32))) + radius_m;
         let back = (rig.disparity_px(depth_m) * f64::from(SCALE)).floor().clamp(0.0, f64::from(NEAREST));
         backs[usize::from(near[value])] = back as u16;
     }

@@ -42,7 +42,7 @@ const WITNESSES: f32 = 2.0;
 /// Votes that a point is occupied.
 ///
 /// Far views pad an obstacle by what they cannot resolve, and err together as well: their sum counts for no more than
-/// twice the strongest of them, or a view from half of the distance could not clear what a row of them padded.
+/// twice the strongest of them, or no number of views from half of the distance could clear what a row of them padded.
 #[derive(Clone, Copy, Default)]
 struct Occupied {
     sum: f32,
@@ -85,7 +85,8 @@ pub enum Occupancy {
 /// The sum of the votes on a point, before a threshold makes an answer of it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Score {
-    /// Eq. 3.11: occupied votes minus half of the others, either capped by its strongest vote.
+    /// Eq. 3.11: occupied votes, at most twice the strongest of them, minus half of the others, at most the strongest
+    /// free one.
     pub sum: f32,
     /// Whether any view vouches for free space.
     pub vouched: bool,
@@ -254,7 +255,7 @@ impl View {
             return Vote::NoReturn;
         }
         let disparity_px = self.focal_baseline / z - self.rig.doffs_px as f32;
-        let (d, weight) = (disparity_px * SCALE, self.noise.vote(disparity_px));
+        let (d, weight) = (disparity_px * SCALE, self.noise.vote(self.focal_baseline / z));
         if d > f32::from(front) {
             match (d > f32::from(near), back == NEVER_OCCUPIED) {
                 (true, _) => Vote::NoReturn,
@@ -368,13 +369,25 @@ mod tests {
     }
 
     #[test]
-    fn a_row_of_far_views_does_not_block_what_a_near_one_clears() {
+    fn a_row_of_far_views_is_cleared_by_two_from_less_than_half_of_the_distance() {
         let mut view = view();
         (0..10).for_each(|i| wall(&mut view, -8.0 - 0.3 * f64::from(i), 9.0, 12.0));
-        assert_eq!(at(&view, 2.0), Occupancy::Occupied);
-        wall(&mut view, 0.0, 15.0, 20.0);
-        wall(&mut view, -0.5, 15.0, 20.0);
+        wall(&mut view, -2.5, 15.0, 20.0);
+        wall(&mut view, -2.4, 15.0, 20.0);
         assert_eq!(at(&view, 2.0), Occupancy::Free);
+    }
+
+    #[test]
+    fn a_row_of_views_is_not_cleared_by_one_from_a_third_or_two_from_more_than_half_of_the_distance() {
+        let mut view = view();
+        (0..10).for_each(|i| wall(&mut view, -8.0 - 0.3 * f64::from(i), 9.0, 12.0));
+        wall(&mut view, -1.4, 15.0, 20.0);
+        assert_eq!(at(&view, 2.0), Occupancy::Occupied);
+        view.clear();
+        (0..10).for_each(|i| wall(&mut view, -8.0 - 0.3 * f64::from(i), 9.0, 12.0));
+        wall(&mut view, -4.0, 15.0, 20.0);
+        wall(&mut view, -3.9, 15.0, 20.0);
+        assert_eq!(at(&view, 2.0), Occupancy::Occupied);
     }
 
     #[test]

@@ -3,7 +3,7 @@
 //! A sideways plan from rest begins where the camera does not look, so that it can neither be vouched for nor refused
 //! by what is there. Two such plans, one on each side of an obstacle, would take turns for ever.
 
-use crate::planner::Situation;
+use crate::situation::Situation;
 use ipc_types::frames::wrap_angle_rad;
 use ipc_types::{FlightTime, Point, World};
 

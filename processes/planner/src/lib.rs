@@ -20,11 +20,13 @@ mod library;
 mod planner;
 mod process;
 mod rollout;
+mod situation;
 mod stuck;
 
 pub use admission::Tally;
-pub use planner::{Plan, Planner, Situation};
+pub use planner::{Plan, Planner};
 pub use process::PlannerProcess;
+pub use situation::Situation;
 
 use ipc_types::bounds::Bounds;
 use serde::{Deserialize, Serialize};

@@ -7,41 +7,13 @@ use crate::field::{Ask, Field};
 use crate::gaze::{Gaze, LOOKS, is_seen};
 use crate::library::{self, Index};
 use crate::rollout::{Rollout, Sample, Target};
+use crate::situation::Situation;
 use crate::stuck::{Stage, Stuck};
 use ipc_types::limits::Fence;
 use ipc_types::messages::{PlanMode, TrajectoryPoint};
 use ipc_types::{FlightTime, Point, Vector, World};
 use memory::View;
 use std::f64::consts::PI;
-
-/// What the planner plans from.
-#[derive(Clone, Copy, Debug)]
-pub struct Situation {
-    /// Flight time.
-    pub now: FlightTime,
-    /// When the state below was valid.
-    pub state_valid: FlightTime,
-    /// Position.
-    pub position: Point<World>,
-    /// Velocity.
-    pub velocity: Vector<World>,
-    /// Heading, rad.
-    pub yaw_rad: f64,
-    /// Where to go.
-    pub goal: Point<World>,
-    /// Highest speed on the way, m/s.
-    pub cruise_mps: f64,
-    /// Exposure of the newest image in the map.
-    pub image_valid: FlightTime,
-}
-
-impl Situation {
-    /// Whether state or map are too old to plan from, or from a time that is yet to come.
-    fn is_stale(&self, config: &Config) -> bool {
-        let is_fresh = |valid, deadline_s| (-0.1..=deadline_s).contains(&self.now.seconds_since(valid));
-        !is_fresh(self.state_valid, config.state_deadline_s) || !is_fresh(self.image_valid, config.image_deadline_s)
-    }
-}
 
 /// A plan, apart from its points ([`Planner::points`]).
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -149,6 +121,10 @@ impl Planner {
         let plan = |mode| Plan { start, mode, tally: Tally::default() };
         // Also when this process was restarted in mid-flight.
         self.airborne |= !self.is_take_off(situation.position);
+        if situation.is_stale(&self.config) && self.stuck.stage != Stage::GivenUp {
+            self.brake(from, situation.yaw_rad);
+            return plan(PlanMode::Hold);
+        }
         if !self.airborne {
             let climb = Target::Place(self.top(), self.config.take_off_mps);
             self.draft.rollout.fill(from, climb, 3.0, &self.config);
@@ -161,12 +137,8 @@ impl Planner {
             self.brake(from, situation.yaw_rad);
             return plan(PlanMode::GivenUp);
         }
-        if situation.is_stale(&self.config) {
-            self.brake(from, situation.yaw_rad);
-            return plan(PlanMode::Hold);
-        }
         if let Stage::BackingOut { since } = self.stuck.stage {
-            return Plan { mode: self.back_out(situation, from, since), ..plan(PlanMode::BackOut) };
+            return Plan { mode: self.back_out(situation, from, since, view), ..plan(PlanMode::BackOut) };
         }
         if self.arrived {
             self.settle(situation, from, view);
@@ -302,8 +274,8 @@ impl Planner {
         }
     }
 
-    /// Flies back along the path flown, whose swept volume is free.
-    fn back_out(&mut self, situation: &Situation, from: Sample, since: FlightTime) -> PlanMode {
+    /// Flies back along the path flown, whose swept volume is free unless an image says otherwise.
+    fn back_out(&mut self, situation: &Situation, from: Sample, since: FlightTime, view: &View) -> PlanMode {
         let late = situation.now.seconds_since(since) > BACK_OUT_S;
         let next = self.stuck.way_back(situation.position).filter(|_| !late);
         let Some(next) = next else {
@@ -317,15 +289,23 @@ impl Planner {
         }
         self.flying = None;
         self.draft.rollout.fill(from, Target::Place(next, BACK_OUT_MPS), 1.0, &self.config);
+        let admission = Admission { view, fence: &self.fence, config: &self.config };
+        if admission.admit(&self.draft.rollout, self.config.gamma_high).is_err() {
+            self.stuck.backed_out(situation.now);
+            self.brake(from, situation.yaw_rad);
+            return PlanMode::Hold;
+        }
         self.write_points(situation.yaw_rad, |_| situation.yaw_rad);
         PlanMode::BackOut
     }
 
-    /// At the goal: closes what is left of the way if that is free, else stays where it is.
+    /// At the goal: closes what is left of the way if all of it is known free, else stays where it is.
     fn settle(&mut self, situation: &Situation, from: Sample, view: &View) {
         let admission = Admission { view, fence: &self.fence, config: &self.config };
         self.draft.rollout.fill(from, Target::Place(situation.goal, SETTLE_MPS), self.config.horizon_s, &self.config);
-        if admission.admit(&self.draft.rollout, self.config.gamma_high).is_err() {
+        let found = admission.admit(&self.draft.rollout, self.config.gamma_high);
+        // So slowly the swept volume alone would admit it, plan by plan, into what was not seen.
+        if !found.is_ok_and(|found| found.unknown_m == 0.0) {
             return self.brake(from, situation.yaw_rad);
         }
         self.flying = None;
@@ -450,6 +430,36 @@ pub(crate) mod tests {
         assert_eq!(modes, [PlanMode::TakeOff, PlanMode::Cruise, PlanMode::Arrived]);
         assert!(position.distance(Point::new(60.0, 0.0, 2.0)) < 0.5, "{position:?}");
         assert!(fastest > 3.8, "{fastest}");
+    }
+
+    #[test]
+    fn a_stale_state_or_map_means_holding_even_in_the_climb() {
+        let view = home_only(200.0);
+        for height_m in [0.5, 2.0] {
+            let fresh = situation(10.0, Point::new(0.0, 0.0, height_m), Vector::new(1.0, 0.0, 0.5));
+            let early = FlightTime::from_secs_f64(9.0);
+            for stale in [Situation { state_valid: early, ..fresh }, Situation { image_valid: early, ..fresh }] {
+                let mut planner = Planner::new(config(), FENCE, Point::ZERO);
+                assert_ne!(planner.step(&fresh, &view).mode, PlanMode::Hold);
+                assert_eq!(planner.step(&stale, &view).mode, PlanMode::Hold);
+                assert_eq!(planner.points().last().expect("points").velocity_mps, [0.0; 3]);
+            }
+        }
+    }
+
+    #[test]
+    fn the_last_of_the_way_is_flown_only_where_it_is_known_free() {
+        let goal = Point::new(30.0, 0.0, 2.0);
+        let at = Situation { goal, ..situation(10.0, Point::new(29.4, 0.0, 2.0), Vector::ZERO) };
+        for (home_radius_m, end_m) in [(200.0, 30.0), (1.0, 29.4)] {
+            let mut view = home_only(home_radius_m);
+            // The swept volume alone must not carry it there.
+            view.free_space_mut().set_path([Point::new(29.4, 0.0, 2.0)]);
+            let mut planner = Planner::new(config(), FENCE, Point::ZERO);
+            assert_eq!(planner.step(&at, &view).mode, PlanMode::Arrived);
+            let end = planner.points().last().expect("points").position_m[0];
+            assert!((end - end_m).abs() < 0.1, "{end}");
+        }
     }
 
     #[test]

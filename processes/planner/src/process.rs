@@ -57,8 +57,10 @@ impl PlannerProcess {
         self
     }
 
-    /// Brings the view up to date with a keyframe set.
-    fn look(&mut self, ports: &mut impl Ports, keyframes: &[Keyframe]) {
+    /// Brings the view up to date with a keyframe set. Returns whether it is complete: a missing keyframe may be the
+    /// one that sees an obstacle.
+    fn look(&mut self, ports: &mut impl Ports, keyframes: &[Keyframe]) -> bool {
+        let mut is_complete = true;
         self.images.retain(|(id, _)| keyframes.iter().any(|keyframe| keyframe.image_id == *id));
         self.view.clear();
         for keyframe in keyframes {
@@ -70,15 +72,13 @@ impl PlannerProcess {
             });
             let usable =
                 image.zip(keyframe.world_from_camera()).is_some_and(|(image, pose)| self.view.push(pose, image));
-            if !usable {
-                // The map is smaller by one view; nothing becomes free by that.
-                self.report.refuse("a keyframe is missing or damaged");
-            }
+            is_complete &= usable;
         }
         if let Some(path) = ports.latest::<Path>() {
             let places = path.elements().iter().map(|point| Point::from_array(point.position_m));
             self.view.free_space_mut().set_path(places.filter(|place| place.is_finite()));
         }
+        is_complete
     }
 
     fn situation(&self, now: FlightTime, image_valid: FlightTime) -> Option<Situation> {
@@ -114,7 +114,8 @@ impl Process for PlannerProcess {
         }
         if let Some(goal) = ports.latest::<Goals>() {
             let goal = *goal.header();
-            let sane = Point::<World>::from_array(goal.position_m).is_finite() && goal.cruise_speed_mps > 0.0;
+            let sane = Point::<World>::from_array(goal.position_m).is_finite()
+                && (f64::MIN_POSITIVE..=f64::MAX).contains(&goal.cruise_speed_mps);
             if sane {
                 self.goal = Some(goal);
             } else {
@@ -124,8 +125,9 @@ impl Process for PlannerProcess {
         let Some(set) = ports.latest::<Keyframes>() else {
             return self.report.idle();
         };
-        if self.avoidance {
-            self.look(ports, set.elements());
+        if self.avoidance && !self.look(ports, set.elements()) {
+            // The plan being flown ends in known free space; without a next one the controller brakes in time.
+            return self.report.refuse("a keyframe is missing or damaged");
         }
         let Some(situation) = self.situation(ports.now(), FlightTime::from_nanos(set.header().stamp.valid_ns)) else {
             return self.report.degraded(if self.goal.is_none() {

@@ -58,9 +58,9 @@ fn read_image(path: &Path) -> Result<DynamicImage, PairError> {
 /// An image as 8-bit grey. 16-bit files must use their range: 10- or 12-bit data would come out black.
 fn read_grey(path: &Path) -> Result<image::GrayImage, PairError> {
     let image = read_image(path)?;
-    if let DynamicImage::ImageLuma16(pixels) = &image {
-        let brightest = pixels.pixels().map(|Luma([value])| *value).max().unwrap_or(0);
-        if (1..4096).contains(&brightest) {
+    if image.color().bytes_per_pixel() / image.color().channel_count() > 1 {
+        let brightest = image.to_luma16().pixels().map(|Luma([value])| *value).max().unwrap_or(0);
+        if (1..1 << 14).contains(&brightest) {
             let problem = format!("is a 16-bit image with no value above {brightest}; expected data scaled to 16 bits");
             return Err(unusable(path, problem));
         }
@@ -108,7 +108,7 @@ pub fn load_calibration(path: &Path, pair: &StereoPair) -> Result<StereoRig, Pai
     let rig = if path.extension().is_some_and(|extension| extension == "ron") {
         ron::from_str(&text).map_err(|error| unusable(path, error.to_string()))?
     } else {
-        middlebury(&text, pair).map_err(|problem| unusable(path, problem))?
+        middlebury(&text).map_err(|problem| unusable(path, problem))?
     };
     let mut bounds = Bounds::default();
     rig.check(&mut bounds);
@@ -127,7 +127,7 @@ pub fn load_calibration(path: &Path, pair: &StereoPair) -> Result<StereoRig, Pai
 }
 
 /// Middlebury 2014 and ETH3D: lines of `key=value`, baseline in mm.
-fn middlebury(text: &str, pair: &StereoPair) -> Result<StereoRig, String> {
+fn middlebury(text: &str) -> Result<StereoRig, String> {
     let entries: HashMap<&str, &str> =
         text.lines().filter_map(|line| line.split_once('=')).map(|(key, value)| (key.trim(), value.trim())).collect();
     let number = |key: &str| -> Result<f64, String> {
@@ -146,18 +146,23 @@ fn middlebury(text: &str, pair: &StereoPair) -> Result<StereoRig, String> {
         }
     };
     let [focal_px, cx_px, cy_px] = camera("cam0")?;
-    let size = |key: &str, fallback: u32| match entries.contains_key(key) {
-        true => number(key).map(|value| value as u32),
-        false => Ok(fallback),
-    };
+    let [right_focal_px, right_cx_px, right_cy_px] = camera("cam1")?;
+    if (right_focal_px, right_cy_px) != (focal_px, cy_px) {
+        return Err("has cameras of different focal length or cy; expected a rectified pair".to_owned());
+    }
+    let doffs_px = right_cx_px - cx_px;
+    let stated_px = if entries.contains_key("doffs") { number("doffs")? } else { doffs_px };
+    if (stated_px - doffs_px).abs() > 0.01 {
+        return Err(format!("has doffs={stated_px}, but its cameras' cx differ by {doffs_px:.3}"));
+    }
     Ok(StereoRig {
-        width_px: size("width", pair.width_px)?,
-        height_px: size("height", pair.height_px)?,
+        width_px: number("width")? as u32,
+        height_px: number("height")? as u32,
         focal_px,
         cx_px,
         cy_px,
         baseline_m: number("baseline")? * 1e-3,
-        doffs_px: if entries.contains_key("doffs") { number("doffs")? } else { 0.0 },
+        doffs_px,
     })
 }
 
@@ -260,16 +265,25 @@ mod tests {
     use super::*;
     use ipc_types::disparity::encode;
 
-    const PAIR: StereoPair = StereoPair { width_px: 940, height_px: 490, pixels: Vec::new() };
-
     #[test]
     fn reads_middlebury_calibrations() {
-        let text =
-            "cam0=[542.019 0 458.5; 0 542.019 244.9; 0 0 1]\ncam1=[1 0 0; 0 1 0; 0 0 1]\ndoffs=0\nbaseline=59.5549\n";
-        let rig = middlebury(text, &PAIR).expect("well-formed");
+        let left = "cam0=[542.019 0 458.5; 0 542.019 244.9; 0 0 1]";
+        let right = "cam1=[542.019 0 460.0; 0 542.019 244.9; 0 0 1]";
+        let rest = "baseline=59.5549\nwidth=940\nheight=490";
+        let rig = middlebury(&[left, right, rest].join("\n")).expect("well-formed");
         assert_eq!((rig.focal_px, rig.cx_px, rig.cy_px, rig.width_px), (542.019, 458.5, 244.9, 940));
-        assert!((rig.baseline_m - 0.0595549).abs() < 1e-9);
-        assert!(middlebury("baseline=1", &PAIR).expect_err("no camera").contains("cam0"));
+        assert!((rig.baseline_m - 0.0595549).abs() < 1e-9 && (rig.doffs_px - 1.5).abs() < 1e-9);
+        let other_lens = right.replace("542.019", "541");
+        for (lines, complaint) in [
+            (vec!["baseline=1"], "cam0"),
+            (vec![left, rest], "cam1"),
+            (vec![left, right, "baseline=1"], "width"),
+            (vec![left, right, rest, "doffs=0"], "doffs"),
+            (vec![left, &other_lens, rest], "focal length"),
+        ] {
+            let message = middlebury(&lines.join("\n")).expect_err(complaint);
+            assert!(message.contains(complaint), "{message}");
+        }
     }
 
     #[test]

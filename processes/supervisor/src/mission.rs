@@ -83,6 +83,8 @@ const ARRIVED_M: f64 = 1.0;
 const HOVERING_MPS: f64 = 0.3;
 /// For this long.
 const HOVERING_FOR: Duration = Duration::from_secs(1);
+/// Longest time between two looks at the topics: images wait in none of them.
+const ATTENTION: Duration = Duration::from_millis(10);
 /// Between goal messages.
 const GOAL_INTERVAL: Duration = Duration::from_millis(500);
 
@@ -259,6 +261,6 @@ impl Process for Mission {
     }
 
     fn next_wake(&self) -> Option<FlightTime> {
-        Some(self.next_goal)
+        Some(self.now + ATTENTION)
     }
 }

@@ -110,7 +110,7 @@ pub enum Happening {
 }
 
 enum Event {
-    Exited { process: ProcessId, incarnation: u32, status: std::io::Result<ExitStatus> },
+    Exited { process: ProcessId, incarnation: u32, at: HostTime, status: std::io::Result<ExitStatus> },
     Signal(i32),
 }
 
@@ -199,7 +199,9 @@ impl Supervision {
         let until_restart = self.children.iter().filter_map(|child| child.restart_at).min();
         let patience = until_restart.map_or(patience, |at| at.saturating_since(host_now()).min(patience));
         let happening = match self.events.recv_timeout(patience) {
-            Ok(Event::Exited { process, incarnation, status }) => self.exited(services, process, incarnation, status),
+            Ok(Event::Exited { process, incarnation, at, status }) => {
+                self.exited(services, (process, incarnation), at, &status)
+            }
             Ok(Event::Signal(signal)) => Happening::Signal(signal),
             Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => Happening::Nothing,
         };
@@ -212,11 +214,11 @@ impl Supervision {
     fn exited(
         &mut self,
         services: &Services,
-        process: ProcessId,
-        incarnation: u32,
-        status: std::io::Result<ExitStatus>,
+        (process, incarnation): (ProcessId, u32),
+        at: HostTime,
+        status: &std::io::Result<ExitStatus>,
     ) -> Happening {
-        let how = describe(&status);
+        let how = describe(status);
         // Between reaping and restarting, so that the successor finds its places free.
         services.clean_dead_nodes();
         let Some(child) = self.children.iter_mut().find(|child| child.command.process == process) else {
@@ -226,7 +228,7 @@ impl Supervision {
             return Happening::Nothing;
         }
         child.status.pid = None;
-        child.died_at = Some(host_now());
+        child.died_at = Some(at);
         if self.stopping {
             child.status.state = ChildState::Stopped;
             return Happening::Nothing;
@@ -377,8 +379,9 @@ impl Supervised {
 fn wait_for(mut child: Child, process: ProcessId, incarnation: u32, sender: Sender<Event>) {
     std::thread::spawn(move || {
         let status = child.wait();
+        let at = host_now();
         // Nobody listens any more when the run is over.
-        let _ = sender.send(Event::Exited { process, incarnation, status });
+        let _ = sender.send(Event::Exited { process, incarnation, at, status });
     });
 }
 

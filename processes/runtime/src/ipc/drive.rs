@@ -4,7 +4,7 @@ use super::{IpcError, IpcPorts};
 use crate::ports::{Connect, Ports, Process, Report, host_now};
 use crate::run_dir::RunDir;
 use ipc_types::messages::HealthLevel;
-use ipc_types::topics::{Clock, HealthReports};
+use ipc_types::topics::HealthReports;
 use ipc_types::wire::Text;
 use ipc_types::{HostTime, StereoRig};
 use signal_hook::consts::{SIGINT, SIGTERM};
@@ -52,7 +52,7 @@ pub fn drive<P: Process>(mut process: P, run: &RunDir, rig: &StereoRig, options:
         process.connect(ports);
         ports.writes::<HealthReports>();
         if !makes_time {
-            ports.reads::<Clock>();
+            ports.follow_flight_clock();
         }
     })?;
     let _alive = run.join().map_err(|error| IpcError::new("join the run")(&error))?;

@@ -72,6 +72,8 @@ pub struct IpcPorts {
     outgoing: HashMap<&'static str, Box<dyn Connected>>,
     incoming: HashMap<&'static str, Box<dyn Any>>,
     clock: ClockFollower,
+    /// Its own subscriber: a process that reads the clock's topic as well must find every message there.
+    clock_port: Option<Incoming<Clock>>,
     /// Set by the process that makes flight time; others follow.
     own_time: Option<FlightTime>,
     now: FlightTime,
@@ -115,6 +117,7 @@ impl IpcPorts {
             outgoing: HashMap::new(),
             incoming: HashMap::new(),
             clock: ClockFollower::default(),
+            clock_port: None,
             own_time: None,
             now: FlightTime::ZERO,
             images: ImageStore::Folder(run.images()),
@@ -153,8 +156,16 @@ impl IpcPorts {
             self.now = own;
             return;
         }
-        follow_clock(&mut self.clock, &self.incoming);
+        follow_clock(&mut self.clock, self.clock_port.as_ref());
         self.now = self.clock.at(host_now());
+    }
+
+    /// Declares that this process follows the flight clock. To be called while opening.
+    pub fn follow_flight_clock(&mut self) {
+        match self.create_subscriber::<Clock>() {
+            Ok(port) => self.clock_port = Some(port),
+            Err(error) => drop(self.first_error.get_or_insert(error)),
+        }
     }
 
     /// Declares this process the maker of flight time, and sets it.
@@ -222,7 +233,7 @@ impl IpcPorts {
         fill(&mut header, slice);
         port.sequence += 1;
         // The step may have taken longer than the clock may be extrapolated.
-        follow_clock(&mut self.clock, &self.incoming);
+        follow_clock(&mut self.clock, self.clock_port.as_ref());
         let published = own_time.unwrap_or_else(|| self.clock.at(host_now()));
         *header.stamp_mut() = Stamp {
             sequence: port.sequence,
@@ -243,8 +254,7 @@ impl IpcPorts {
 }
 
 /// Reads what the flight clock has said since.
-fn follow_clock(clock: &mut ClockFollower, incoming: &HashMap<&'static str, Box<dyn Any>>) {
-    let port = incoming.get(Clock::INFO.name).and_then(|port| port.downcast_ref::<Incoming<Clock>>());
+fn follow_clock(clock: &mut ClockFollower, port: Option<&Incoming<Clock>>) {
     while let Some(Ok(Some(reading))) = port.map(|port| port.subscriber.receive()) {
         clock.read(&reading.user_header().0);
     }
