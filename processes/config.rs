@@ -3,17 +3,17 @@
 //! No flight parameter has a silent default and no key is ignored. All violations are reported together, each with
 //! its file, path, value and allowed range. The files that ship are compiled in, so that the executable flies alone.
 
+use crate::graph_config::GraphConfig;
 use ipc_types::bounds::Bounds;
 use ipc_types::noise::NoiseModel;
 use ipc_types::rig::{CameraMount, StereoRig};
-use runtime::lockstep::LatencyModel;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use simulator::{SimulatorConfig, WorldConfig};
 use std::f64::consts::FRAC_PI_2;
 use std::fs;
 use std::path::{Path, PathBuf};
-use supervisor::{MissionConfig, RestartRule};
+use supervisor::MissionConfig;
 
 /// Why a configuration was refused.
 #[derive(Debug, thiserror::Error)]
@@ -77,18 +77,6 @@ pub struct VehicleConfig {
     pub controller: controller::Config,
     /// How the simulator imitates it.
     pub simulator: SimulatorConfig,
-}
-
-/// The process graph: restarting and latencies.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct GraphConfig {
-    /// How long a process lives on after its supervisor has died, s.
-    pub lease_s: f64,
-    /// Restarting.
-    pub restart: RestartRule,
-    /// Latencies of the lockstep driver.
-    pub latency: LatencyModel,
 }
 
 /// Everything a flight depends on. The children read it from the run directory.
@@ -424,14 +412,6 @@ impl VehicleConfig {
 
 /// Least allowance for tracking and state errors, m.
 const TRACKING_MARGIN_M: f64 = 0.1;
-
-impl GraphConfig {
-    fn check(&self, bounds: &mut Bounds) {
-        bounds.range("lease_s", self.lease_s, 0.0..=60.0);
-        bounds.section("restart", |bounds| self.restart.check(bounds));
-        bounds.section("latency", |bounds| self.latency.check(bounds));
-    }
-}
 
 #[cfg(test)]
 mod tests {

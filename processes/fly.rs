@@ -3,13 +3,14 @@
 use crate::config::FlightConfig;
 use crate::display::{Display, why_not_ready};
 use crate::graph::Flight;
+use crate::graph_config::Member;
 use crate::run_files::{CONFIG, RunFiles, VERSION, fresh_name};
 use clap::Args;
 use ipc_types::ProcessId;
 use recorder::RecorderProcess;
+use runtime::Process;
 use runtime::ipc::{IpcPorts, Services};
 use runtime::run_dir::RunDir;
-use runtime::Process;
 use std::error::Error;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
@@ -119,36 +120,24 @@ fn fly_in_lockstep(config: &FlightConfig, files: &RunFiles) -> Result<Summary, B
     Ok(summary)
 }
 
-/// The children of a flight, in order of start.
-const CHILDREN: [ProcessId; 7] = [
-    ProcessId::Recorder,
-    ProcessId::StereoIngest,
-    ProcessId::Expansion,
-    ProcessId::Memory,
-    ProcessId::Planner,
-    ProcessId::Controller,
-    ProcessId::Simulator,
-];
-
 /// The command line of a child.
 pub(crate) fn command(
     config: &FlightConfig,
     run: &RunDir,
     folder: &Path,
-    process: ProcessId,
+    member: Member,
 ) -> std::io::Result<ChildCommand> {
+    let process = member.process;
     let program = std::env::current_exe()?.display().to_string();
     let folder = folder.display().to_string();
     let own = std::process::id().to_string();
     let arguments =
         [program.as_str(), "process", process.name(), "--run", run.name(), "--run-dir", &folder, "--supervisor", &own];
-    // The simulator is the world: its death ends the run.
-    let is_world = matches!(process, ProcessId::Simulator | ProcessId::Player);
     Ok(ChildCommand {
         process,
         arguments: arguments.map(str::to_owned).to_vec(),
-        restart: (!is_world).then_some(config.graph.restart),
-        is_essential: process != ProcessId::Recorder,
+        restart: member.restarts.then_some(config.graph.restart),
+        is_essential: member.is_essential,
     })
 }
 
@@ -165,7 +154,7 @@ fn fly_processes(
         ports.follow_flight_clock();
     })?;
     let commands: std::io::Result<Vec<_>> =
-        CHILDREN.map(|process| command(config, run, files.folder(), process)).into_iter().collect();
+        config.graph.processes.iter().map(|&member| command(config, run, files.folder(), member)).collect();
     let mut supervision = Supervision::start(commands?, signals)?;
     let mut display = Display::new(config.mission.goal());
     while mission.outcome().is_none() {

@@ -19,6 +19,7 @@ pub mod config;
 mod display;
 mod fly;
 pub mod graph;
+pub mod graph_config;
 mod replay;
 mod run_files;
 

@@ -2,9 +2,10 @@
 
 use crate::config::FlightConfig;
 use crate::fly::command;
+use crate::graph_config::Member;
 use crate::run_files::{RunFiles, fresh_name};
 use clap::Args;
-use ipc_types::disparity::is_valid;
+use ipc_types::disparity::{NO_MATCH, encode, is_valid};
 use ipc_types::messages::{ExpandedPlanes, Keyframe, UNKNOWN_FRONT};
 use ipc_types::topics::{Disparity, Expanded, HealthReports, Keyframes, StereoFrames, Topic};
 use ipc_types::wire::Header;
@@ -147,7 +148,7 @@ pub(crate) fn replay(arguments: &ReplayArguments) -> Result<ExitCode, Box<dyn Er
     drop(lock);
     let summary = summarise(&config, &products, &view, truth.as_ref(), pids);
     if let Some(prefix) = &arguments.out {
-        write_images(prefix, &arguments.format, &rig, &products)?;
+        write_images(prefix, &arguments.format, &config, &products, &view)?;
     }
     print(&summary);
     files.write_summary(&summary)?;
@@ -184,12 +185,14 @@ fn digest(
         ports.reads::<Keyframes>();
         ports.reads::<HealthReports>();
     })?;
-    let mut commands = Vec::new();
-    for process in
-        [ProcessId::StereoIngest, ProcessId::Expansion, ProcessId::Memory, ProcessId::Recorder, ProcessId::Player]
-    {
-        commands.push(command(config, run, folder, process)?);
-    }
+    // The player takes the place of world and vehicle, for which nothing is planned.
+    let flies =
+        |member: &&Member| matches!(member.process, ProcessId::Simulator | ProcessId::Planner | ProcessId::Controller);
+    let digesting = config.graph.processes.iter().filter(|member| !flies(member)).copied();
+    let player = Member { process: ProcessId::Player, restarts: false, is_essential: true };
+    let commands: std::io::Result<Vec<_>> =
+        digesting.chain([player]).map(|member| command(config, run, folder, member)).collect();
+    let mut commands = commands?;
     if let Some(player) = commands.last_mut() {
         let files = [("--left", &arguments.left), ("--right", &arguments.right)];
         player.arguments.extend(files.iter().flat_map(|(flag, path)| [(*flag).to_owned(), path.display().to_string()]));
@@ -286,17 +289,26 @@ impl Products {
     }
 }
 
-/// Points that the camera looks at, on every eighth pixel's ray from 0.5 m to 12 m: free, occupied, unknown.
+/// Depths at which occupancy is asked: 0.5 m to 12 m, each a tenth farther than the one before.
+fn depths_m() -> impl Iterator<Item = f64> {
+    std::iter::successors(Some(0.5), |depth_m| Some(depth_m * 1.1)).take_while(|&depth_m| depth_m <= 12.0)
+}
+
+/// The point on a pixel's ray at a depth. The vehicle stands at the world's origin and looks along its x axis.
+fn in_view(config: &FlightConfig, column: f64, row: f64, depth_m: f64) -> Point<World> {
+    let rig = config.vehicle.rig;
+    let world_from_camera = Pose::<World, Body>::IDENTITY * config.vehicle.mount.body_from_camera();
+    world_from_camera * rig.back_project(column, row, rig.disparity_px(depth_m))
+}
+
+/// Points on every eighth pixel's ray: free, occupied, unknown.
 fn occupancy_in_view(config: &FlightConfig, view: &View) -> [usize; 3] {
     let rig = config.vehicle.rig;
-    // The vehicle stands at the world's origin and looks along its x axis.
-    let world_from_camera = Pose::<World, Body>::IDENTITY * config.vehicle.mount.body_from_camera();
     let mut counts = [0; 3];
     for row in (0..rig.height_px).step_by(8) {
         for column in (0..rig.width_px).step_by(8) {
-            for depth_m in std::iter::successors(Some(0.5), |depth_m| Some(depth_m * 1.1)).take_while(|&m| m <= 12.0) {
-                let place = rig.back_project(f64::from(column), f64::from(row), rig.disparity_px(depth_m));
-                let place = world_from_camera * place;
+            for depth_m in depths_m() {
+                let place = in_view(config, f64::from(column), f64::from(row), depth_m);
                 counts[match view.occupancy(place, config.vehicle.planner.gamma_low) {
                     Occupancy::Free => 0,
                     Occupancy::Occupied => 1,
@@ -346,7 +358,28 @@ fn summarise(
     }
 }
 
-fn write_images(prefix: &Path, kind: &str, rig: &StereoRig, products: &Products) -> Result<(), Box<dyn Error>> {
+/// Disparity of the first occupied point on every pixel's ray, asked as in [`occupancy_in_view`]; 0 where there is none.
+fn first_occupied(config: &FlightConfig, view: &View) -> Vec<u16> {
+    let rig = config.vehicle.rig;
+    let first = |index: usize| {
+        let (row, column) = (index / rig.width_px as usize, index % rig.width_px as usize);
+        let is_occupied = |depth_m: &f64| {
+            let place = in_view(config, column as f64, row as f64, *depth_m);
+            view.occupancy(place, config.vehicle.planner.gamma_low) == Occupancy::Occupied
+        };
+        depths_m().find(is_occupied).map_or(NO_MATCH, |depth_m| encode(rig.disparity_px(depth_m) as f32))
+    };
+    (0..rig.pixels()).map(first).collect()
+}
+
+fn write_images(
+    prefix: &Path,
+    kind: &str,
+    config: &FlightConfig,
+    products: &Products,
+    view: &View,
+) -> Result<(), Box<dyn Error>> {
+    let rig = config.vehicle.rig;
     let file = |name: &str| PathBuf::from(format!("{}-{name}.{kind}", prefix.display()));
     if let Some((_, disparity)) = &products.disparity {
         save_disparity(&file("disparity"), rig.width_px, rig.height_px, disparity)?;
@@ -361,6 +394,7 @@ fn write_images(prefix: &Path, kind: &str, rig: &StereoRig, products: &Products)
         save_disparity(&file("front"), rig.width_px, rig.height_px, &known(planes.front))?;
         save_disparity(&file("back"), rig.width_px, rig.height_px, &known(planes.back))?;
     }
+    save_disparity(&file("occupied"), rig.width_px, rig.height_px, &first_occupied(config, view))?;
     Ok(())
 }
 

@@ -46,6 +46,15 @@ fn configurations_that_cannot_be() {
         ("vehicles/scout.ron", "sigma_px: 0.4", "sigma_px: -1.0", vec!["scout.ron", "noise.sigma_px", "-1"]),
         ("vehicles/scout.ron", "radius_m: 0.65", "radius_m: 0.3", vec!["scout.ron", "expansion.radius_m", "hull"]),
         ("vehicles/scout.ron", "braking_mps2: 4.0", "braking_mps2: 0.5", vec!["controller.braking_mps2", "0.5"]),
+        ("default.ron", "start_m: (0.0, 0.0)", "start_m: (300.0, 0.0)", vec!["mission.start_m", "fence"]),
+        ("vehicles/scout.ron", "home_height_m: 3.0", "home_height_m: 1.0", vec!["home_height_m", "cruise_height_m"]),
+        ("vehicles/scout.ron", "rate_hz: 12.5", "rate_hz: 2.0", vec!["image_deadline_s", "interval"]),
+        (
+            "graphs/droan.ron",
+            "process: memory, restarts",
+            "process: planner, restarts",
+            vec!["memory", "planner", "once"],
+        ),
         ("worlds/forest.ron", "trees_per_m2: 0.05", "trees_per_m2: 7.0", vec!["forest.ron", "trees_per_m2", "7"]),
         ("worlds/forest.ron", "walls: []", "walls: [", vec!["forest.ron:"]),
         ("graphs/droan.ron", "lease_s: 5.0", "lease_s: 5.0, surprise: 1", vec!["droan.ron:", "surprise"]),
@@ -71,6 +80,11 @@ fn command_lines_that_cannot_be() {
     assert!(refused(&run, &["fly", "--goal", "1,2"]).contains("three numbers"));
     assert!(refused(&run, &["fly", "--goal", "500,0,2"]).contains("fence"));
     assert!(refused(&run, &["fly", "--world", "moon"]).contains("moon"));
+    fs::create_dir_all(run.path("runs/again")).expect("writable");
+    fs::write(run.path("kept.json"), "kept").expect("writable");
+    let message = refused(&run, &["fly", "--run", "again", "--summary", "kept.json"]);
+    assert!(message.contains("runs/again") && message.contains("exists already"), "{message}");
+    assert_eq!(fs::read_to_string(run.path("kept.json")).expect("there"), "kept", "a refused run spoils no file");
     assert!(refused(&run, &["process", "pilot"]).contains("no process of that name"));
 }
 

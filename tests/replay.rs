@@ -77,7 +77,7 @@ fn score(data: &std::path::Path, name: &str, files: [&str; 4], calibration: &[&s
     let error = &summary["disparity_error"];
     assert!(error["bad_percent"][1].as_f64().expect("scored") < 6.0, "{error}");
     assert!(error["density_percent"].as_f64().expect("scored") > 70.0, "{error}");
-    for product in ["disparity", "front", "back"] {
+    for product in ["disparity", "front", "back", "occupied"] {
         assert!(run.path(&format!("made-{product}.png")).is_file(), "{product}");
     }
     summary

@@ -30,6 +30,8 @@ impl LatencyModel {
     /// Reports values out of range.
     pub fn check(&self, bounds: &mut Bounds) {
         for latency in &self.0 {
+            let times = self.0.iter().filter(|other| other.process == latency.process).count();
+            bounds.require(times == 1, latency.process.name(), "is listed more than once");
             bounds.section(latency.process.name(), |bounds| {
                 bounds.range("floor_ms", latency.floor_ms, 0.0..=1000.0);
                 bounds.range("tail_ms", latency.tail_ms, 0.0..=1000.0);

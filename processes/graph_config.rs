@@ -1,0 +1,91 @@
+//! The process graph as configured: which processes run, what their deaths mean, and how long their steps take in
+//! lockstep.
+
+use ipc_types::ProcessId;
+use ipc_types::bounds::Bounds;
+use runtime::lockstep::LatencyModel;
+use serde::{Deserialize, Serialize};
+use supervisor::RestartRule;
+
+/// A process of the graph.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Member {
+    /// Which.
+    pub process: ProcessId,
+    /// Whether it is restarted; else its death ends the run.
+    pub restarts: bool,
+    /// Whether the run ends when it dies too often; else the run goes on without it.
+    pub is_essential: bool,
+}
+
+/// The process graph.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct GraphConfig {
+    /// The processes, in order of start.
+    pub processes: Vec<Member>,
+    /// How long a process lives on after its supervisor has died, s.
+    pub lease_s: f64,
+    /// Restarting.
+    pub restart: RestartRule,
+    /// Latencies of the lockstep driver.
+    pub latency: LatencyModel,
+}
+
+/// Without these nothing flies.
+const NEEDED: [ProcessId; 6] = [
+    ProcessId::Simulator,
+    ProcessId::StereoIngest,
+    ProcessId::Expansion,
+    ProcessId::Memory,
+    ProcessId::Planner,
+    ProcessId::Controller,
+];
+
+impl GraphConfig {
+    pub(crate) fn check(&self, bounds: &mut Bounds) {
+        bounds.range("lease_s", self.lease_s, 0.0..=60.0);
+        bounds.section("restart", |bounds| self.restart.check(bounds));
+        bounds.section("latency", |bounds| self.latency.check(bounds));
+        bounds.section("processes", |bounds| {
+            let times = |process| self.processes.iter().filter(|member| member.process == process).count();
+            for process in NEEDED {
+                bounds.require(times(process) > 0, process.name(), "is not listed, and nothing flies without it");
+            }
+            for member in &self.processes {
+                let name = member.process.name();
+                bounds.require(times(member.process) == 1, name, "is listed more than once");
+                let is_child = !matches!(member.process, ProcessId::Supervisor | ProcessId::Player);
+                bounds.require(is_child, name, "is not a process that a flight starts");
+                // A world that begins anew under a vehicle in flight is another world.
+                let is_world = member.process == ProcessId::Simulator;
+                bounds.require(!(is_world && member.restarts), name, "cannot be restarted, expected restarts: false");
+            }
+        });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::config::FlightConfig;
+
+    #[test]
+    fn graphs_that_cannot_fly_are_named() {
+        let config = FlightConfig::load(None, None).expect("loads");
+        let complaint = |change: fn(&mut super::GraphConfig)| {
+            let mut config = config.clone();
+            change(&mut config.graph);
+            config.check().expect_err("impossible").to_string()
+        };
+        assert!(
+            complaint(|graph| graph.processes.retain(|member| member.process.name() != "memory")).contains("memory")
+        );
+        assert!(complaint(|graph| graph.processes.push(graph.processes[0])).contains("more than once"));
+        assert!(
+            complaint(|graph| graph.processes.iter_mut().for_each(|member| member.restarts = true))
+                .contains("simulator")
+        );
+        assert!(complaint(|graph| graph.latency.0.push(graph.latency.0[0])).contains("more than once"));
+    }
+}
