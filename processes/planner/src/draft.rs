@@ -1,31 +1,50 @@
 //! The plan in the making: the roll-out chosen, and the points that are published of it, with their headings.
 
 use crate::Config;
-use crate::rollout::{Rollout, STEP_S, Sample};
+use crate::rollout::{Rollout, STEP_S, Sample, Target};
 use crate::stuck::LOOK_SHARE;
 use ipc_types::frames::wrap_angle_rad;
 use ipc_types::messages::TrajectoryPoint;
-use ipc_types::{Vector, World};
+use ipc_types::{Point, Vector, World};
 
 /// Least points of a turn on the spot, which has a single sample when at rest.
 const TURN_POINTS: usize = 12;
 
+/// Slower than this the vehicle holds its place, m/s.
+const HOVERING_MPS: f64 = 0.3;
+/// Carried farther away than this it holds the new place, m: the way back was swept, but should stay short.
+const CARRIED_M: f64 = 0.4;
+/// Speed of returning to the place held, m/s.
+const RETURN_MPS: f64 = 0.5;
+/// For so long it returns before the plan ends, s.
+const RETURN_S: f64 = 1.0;
+
 /// A roll-out and its points.
 #[derive(Clone, Debug)]
 pub(crate) struct Draft {
+    /// The place held since the vehicle came to rest. Without it, every plan would stop where wind or a velocity bias
+    /// has carried the vehicle since the one before.
+    held: Option<Point<World>>,
     pub(crate) rollout: Rollout,
     pub(crate) points: Vec<TrajectoryPoint>,
 }
 
 impl Draft {
     pub(crate) fn new() -> Self {
-        Self { rollout: Rollout::new(), points: Vec::with_capacity(256) }
+        Self { held: None, rollout: Rollout::new(), points: Vec::with_capacity(256) }
     }
 
-    /// A straight stop along the velocity.
+    /// A straight stop along the velocity; once at rest, holding the place.
     pub(crate) fn stop(&mut self, from: Sample, yaw_rad: f64, config: &Config) {
-        self.rollout.stop(from, config.hard_braking_mps2);
+        let hovers = from.velocity.norm() < HOVERING_MPS;
+        let near = |held: &Point<World>| held.distance(from.position) < CARRIED_M;
+        let held = hovers.then(|| self.held.filter(near).unwrap_or(from.position));
+        match held {
+            Some(place) => self.rollout.fill(from, Target::Place(place, RETURN_MPS), RETURN_S, config),
+            None => self.rollout.stop(from, config.hard_braking_mps2),
+        }
         self.write(yaw_rad, config, |_| yaw_rad);
+        self.held = held;
     }
 
     /// A stop that turns towards a heading.
@@ -48,6 +67,7 @@ impl Draft {
     pub(crate) fn write(&mut self, yaw_rad: f64, config: &Config, heading: impl Fn(Vector<World>) -> f64) {
         let most = config.yaw_rate_degps.to_radians() * STEP_S;
         let mut yaw_rad = yaw_rad;
+        self.held = None;
         self.points.clear();
         for (index, sample) in self.rollout.samples.iter().enumerate() {
             // Look where the vehicle will be: half a second on.
@@ -60,5 +80,28 @@ impl Draft {
                 yaw_rad,
             });
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::planner::tests::config;
+
+    #[test]
+    fn at_rest_a_place_is_held_and_not_given_up_bit_by_bit() {
+        let (config, mut draft) = (config(), Draft::new());
+        let mut stop = |x_m: f64, speed_mps: f64| {
+            let velocity = Vector::new(speed_mps, 0.0, 0.0);
+            draft.stop(Sample { position: Point::new(x_m, 0.0, 2.0), velocity }, 0.0, &config);
+            draft.points.last().expect("points").position_m[0]
+        };
+        assert!(stop(-1.0, 3.0) > -0.5, "braking comes first");
+        assert!(stop(0.0, 0.1).abs() < 0.05);
+        // Carried off by a decimetre a plan.
+        for step in 1..4 {
+            assert!(stop(0.1 * f64::from(step), 0.05).abs() < 0.05, "back to where it was");
+        }
+        assert!(stop(0.6, 0.05) > 0.5, "too far to go back unseen");
     }
 }
