@@ -297,6 +297,12 @@ impl FlightConfig {
             "mission.start_m",
             format_args!("is {start:?}, must be inside the fence"),
         );
+        let home_radius_m = self.vehicle.memory.free_space.home_radius_m;
+        bounds.require(
+            home_radius_m >= planner::AWAY_M,
+            "vehicle.memory.free_space.home_radius_m",
+            format_args!("is {home_radius_m}, must be at least {} m: take-off may drift so far", planner::AWAY_M),
+        );
         let home_m = self.vehicle.memory.free_space.home_height_m;
         bounds.require(
             home_m >= height_m,

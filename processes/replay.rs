@@ -60,7 +60,7 @@ pub(crate) struct ReplayArguments {
     /// Image of the pixels to score (bright).
     #[arg(long, value_name = "FILE", requires = "ground_truth")]
     mask: Option<PathBuf>,
-    /// Write PREFIX-disparity.*, PREFIX-front.*, PREFIX-back.*.
+    /// Write PREFIX-disparity.*, PREFIX-front.*, PREFIX-back.*, and PREFIX-occupied.*: the first occupied point of each ray.
     #[arg(long, value_name = "PREFIX")]
     out: Option<PathBuf>,
     /// Kind of those files.

@@ -51,11 +51,11 @@ impl RunFiles {
         config: &FlightConfig,
         summary_copy: Option<&Path>,
     ) -> Result<Self, FileError> {
-        if let Some(copy) = summary_copy {
-            // Writable, but as it is until there is a summary.
-            fs::File::options().append(true).create(true).open(copy).map_err(at(copy))?;
-        }
         let folder = parent.join(name);
+        if folder.to_str().is_none() {
+            let problem = "is not UTF-8, which the processes' command lines need";
+            return Err(at(&folder)(io::Error::new(io::ErrorKind::InvalidInput, problem)));
+        }
         fs::create_dir_all(parent).map_err(at(parent))?;
         fs::create_dir(&folder).map_err(|error| match error.kind() {
             io::ErrorKind::AlreadyExists => {
@@ -67,9 +67,9 @@ impl RunFiles {
         })?;
         // Children run elsewhere; a relative path would mean another place to them.
         let folder = folder.canonicalize().map_err(at(&folder))?;
-        if folder.to_str().is_none() {
-            let problem = "is not UTF-8, which the processes' command lines need";
-            return Err(at(&folder)(io::Error::new(io::ErrorKind::InvalidInput, problem)));
+        if let Some(copy) = summary_copy {
+            // What an older run left there is not this run's.
+            fs::File::create(copy).map_err(at(copy))?;
         }
         let path = folder.join(CONFIG);
         fs::write(&path, config.snapshot()).map_err(at(&path))?;

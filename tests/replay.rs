@@ -77,8 +77,12 @@ fn score(data: &std::path::Path, name: &str, files: [&str; 4], calibration: &[&s
     let error = &summary["disparity_error"];
     assert!(error["bad_percent"][1].as_f64().expect("scored") < 6.0, "{error}");
     assert!(error["density_percent"].as_f64().expect("scored") > 70.0, "{error}");
+    let side = |key: &str| summary[key].as_u64().and_then(|pixels| u32::try_from(pixels).ok()).expect("a size");
     for product in ["disparity", "front", "back", "occupied"] {
-        assert!(run.path(&format!("made-{product}.png")).is_file(), "{product}");
+        let file = run.path(&format!("made-{product}.png"));
+        let image = stereo_ingest::load_disparity(&file, side("width_px"), side("height_px")).expect(product);
+        let found = image.iter().flatten().count();
+        assert!(found > image.len() / 20, "{product}: {found} of {} pixels", image.len());
     }
     summary
 }

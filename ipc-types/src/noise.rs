@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 
 /// Matching error and how many of its standard deviations an obstacle is padded by.
 ///
+/// Disparities here are f·b/z: where the principal points differ, the difference (doffs) is added to what is measured.
 /// λ is `lambda_near` at and above `near_px` of disparity, `lambda_far` at and below `far_px`, linear between.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]

@@ -77,7 +77,8 @@ impl Process for ControllerProcess {
             return self.report.idle();
         }
         // On the beat, unless one was missed altogether.
-        self.next = (self.next + self.interval).max(now);
+        let due = self.next + self.interval;
+        self.next = if due > now { due } else { now + self.interval };
         let command = self.tracker.step(now, self.state.as_ref(), self.reference.as_ref());
         let image = self.reference.as_ref().map_or(FlightTime::ZERO, |reference| reference.image);
         ports.publish::<Setpoints>(now, 0, |setpoint, _| {

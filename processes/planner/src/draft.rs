@@ -12,10 +12,10 @@ const TURN_POINTS: usize = 12;
 
 /// Slower than this the vehicle holds its place, m/s.
 const HOVERING_MPS: f64 = 0.3;
-/// Carried farther away than this it holds the new place, m: the way back was swept, but should stay short.
-const CARRIED_M: f64 = 0.4;
-/// Speed of returning to the place held, m/s.
-const RETURN_MPS: f64 = 0.5;
+/// Carried farther away than this it holds the new place, m: the way back asks no map, so it stays short.
+const CARRIED_M: f64 = 0.3;
+/// Speed of returning to the place held, m/s: still slow enough to hold it.
+const RETURN_MPS: f64 = 0.2;
 /// For so long it returns before the plan ends, s.
 const RETURN_S: f64 = 1.0;
 
@@ -94,14 +94,18 @@ mod tests {
         let mut stop = |x_m: f64, speed_mps: f64| {
             let velocity = Vector::new(speed_mps, 0.0, 0.0);
             draft.stop(Sample { position: Point::new(x_m, 0.0, 2.0), velocity }, 0.0, &config);
-            draft.points.last().expect("points").position_m[0]
+            let fastest = draft.points.iter().map(|point| Vector::<World>::from_array(point.velocity_mps).norm());
+            (draft.points.last().expect("points").position_m[0], fastest.fold(0.0, f64::max))
         };
-        assert!(stop(-1.0, 3.0) > -0.5, "braking comes first");
-        assert!(stop(0.0, 0.1).abs() < 0.05);
-        // Carried off by a decimetre a plan.
-        for step in 1..4 {
-            assert!(stop(0.1 * f64::from(step), 0.05).abs() < 0.05, "back to where it was");
+        assert!(stop(-1.0, 3.0).0 > -0.5, "braking comes first");
+        assert!(stop(0.0, 0.0).0.abs() < 0.01);
+        for step in 1..6 {
+            // Carried off, bit by bit.
+            let x_m = 0.05 * f64::from(step);
+            let (end_m, fastest_mps) = stop(x_m, 0.0);
+            assert!(end_m < x_m - 0.04, "back towards where it was: {end_m} from {x_m}");
+            assert!(fastest_mps < HOVERING_MPS, "and still holding it: {fastest_mps}");
         }
-        assert!(stop(0.6, 0.05) > 0.5, "too far to go back unseen");
+        assert!(stop(0.6, 0.0).0 > 0.5, "too far to go back unseen");
     }
 }

@@ -24,7 +24,7 @@ mod situation;
 mod stuck;
 
 pub use admission::Tally;
-pub use planner::{Plan, Planner};
+pub use planner::{AWAY_M, Plan, Planner};
 pub use process::PlannerProcess;
 pub use situation::Situation;
 

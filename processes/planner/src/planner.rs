@@ -60,13 +60,15 @@ const ARRIVED_M: f64 = 0.7;
 /// Distance at which a vehicle that had arrived sets out again, m.
 const LEFT_M: f64 = 1.0;
 /// Farther than this from the take-off place the vehicle is not taking off, m.
-const AWAY_M: f64 = 1.0;
+pub const AWAY_M: f64 = 1.0;
 /// Speed of closing the last bit of the way, m/s.
 const SETTLE_MPS: f64 = 0.6;
 /// Speed of backing out, m/s.
 const BACK_OUT_MPS: f64 = 1.0;
 /// Longest time that backing out may take, s.
 const BACK_OUT_S: f64 = 20.0;
+/// Later than this a refusal ends it, s: before, the map may still change its mind.
+const REFUSED_S: f64 = 3.0;
 /// Slower than this the vehicle looks before it sets out to where it does not look, m/s.
 const LOOK_FIRST_MPS: f64 = 0.9;
 /// Price of a place from which no way to the goal is known, m.
@@ -291,7 +293,9 @@ impl Planner {
         self.draft.rollout.fill(from, Target::Place(next, BACK_OUT_MPS), 1.0, &self.config);
         let admission = Admission { view, fence: &self.fence, config: &self.config };
         if admission.admit(&self.draft.rollout, self.config.gamma_high).is_err() {
-            self.stuck.backed_out(situation.now);
+            if situation.now.seconds_since(since) > REFUSED_S {
+                self.stuck.backed_out(situation.now);
+            }
             self.brake(from, situation.yaw_rad);
             return PlanMode::Hold;
         }
@@ -299,20 +303,20 @@ impl Planner {
         PlanMode::BackOut
     }
 
-    /// At the goal: closes what is left of the way if all of it is known free, else stays where it is.
+    /// At the goal: closes what is left of the way if all of it is known free, else looks there.
     fn settle(&mut self, situation: &Situation, from: Sample, view: &View) {
         let admission = Admission { view, fence: &self.fence, config: &self.config };
         self.draft.rollout.fill(from, Target::Place(situation.goal, SETTLE_MPS), self.config.horizon_s, &self.config);
         let found = admission.admit(&self.draft.rollout, self.config.gamma_high);
         // So slowly the swept volume alone would admit it, plan by plan, into what was not seen.
         if !found.is_ok_and(|found| found.unknown_m == 0.0) {
-            return self.brake(from, situation.yaw_rad);
+            return self.turn(from, situation.yaw_rad, goal_heading(situation));
         }
         self.flying = None;
         self.write_points(situation.yaw_rad, |_| situation.yaw_rad);
     }
 
-    /// A straight stop along the velocity, which is always allowed.
+    /// A straight stop along the velocity, or holding the place at rest: always allowed.
     fn brake(&mut self, from: Sample, yaw_rad: f64) {
         self.flying = None;
         self.draft.stop(from, yaw_rad, &self.config);

@@ -2,7 +2,7 @@
 
 use crate::{Config, Planner, Situation};
 use ipc_types::limits::Fence;
-use ipc_types::messages::{Goal, Keyframe, VehicleState};
+use ipc_types::messages::{Goal, Keyframe, PlanMode, VehicleState};
 use ipc_types::noise::NoiseModel;
 use ipc_types::topics::{Goals, Keyframes, Path, Plan, State};
 use ipc_types::{FlightTime, Point, ProcessId, StereoRig, World};
@@ -126,7 +126,7 @@ impl Process for PlannerProcess {
             return self.report.idle();
         };
         if self.avoidance && !self.look(ports, set.elements()) {
-            // The plan being flown ends in known free space; without a next one the controller brakes in time.
+            // The plan being flown ends at rest, and without a next one the controller brakes in time.
             return self.report.refuse("a keyframe is missing or damaged");
         }
         let Some(situation) = self.situation(ports.now(), FlightTime::from_nanos(set.header().stamp.valid_ns)) else {
@@ -137,6 +137,7 @@ impl Process for PlannerProcess {
             });
         };
         let plan = self.planner.step(&situation, &self.view);
+        let holds = plan.mode == PlanMode::Hold;
         let (planner, lead_s) = (&self.planner, self.lead_s);
         ports.publish::<Plan>(plan.start, planner.points().len(), |out, points| {
             out.image_valid_ns = set.header().stamp.valid_ns;
@@ -147,6 +148,9 @@ impl Process for PlannerProcess {
             out.lead_s = lead_s;
             points.copy_from_slice(planner.points());
         });
-        self.report.worked()
+        match holds {
+            true => self.report.degraded("holding: nothing is admissible, or state or map is stale"),
+            false => self.report.worked(),
+        }
     }
 }

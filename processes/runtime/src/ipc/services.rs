@@ -15,7 +15,7 @@ const CLEANUP_TIMEOUT: Duration = Duration::from_millis(100);
 /// Samples a consumer may hold at once.
 const BORROWED: usize = 4;
 /// Restarted ports may briefly coexist with what the cleaner has not yet removed.
-const SPARE_PORTS: usize = 3;
+const SPARE_PORTS: usize = 4;
 
 /// Holds every service of a run open. While this lives, a process killed at any instant cannot wedge a service.
 #[derive(Debug)]
