@@ -15,10 +15,9 @@ use std::error::Error;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use std::time::Duration;
 use supervisor::{
-    ChildCommand, ChildStatus, Happening, LatencySummary, Losses, Mission, Outcome, ProcessSummary, SignalWatch,
-    Summary, Supervision,
+    ATTENTION, ChildCommand, ChildStatus, Happening, LatencySummary, Losses, Mission, Outcome, ProcessSummary,
+    SignalWatch, Summary, Supervision,
 };
 
 /// Options of a flight.
@@ -182,9 +181,6 @@ fn fly_processes(
     let children = supervision.stop();
     Ok(with_processes(mission.summary(), &children))
 }
-
-/// Longest time between two looks at the topics.
-const ATTENTION: Duration = Duration::from_millis(10);
 
 /// Adds the processes, the supervisor among them.
 fn with_processes(mut summary: Summary, children: &[ChildStatus]) -> Summary {

@@ -21,7 +21,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
 use stereo_ingest::{DisparityError, GroundTruth, StereoPair, load_calibration, save_disparity};
-use supervisor::{Happening, SignalWatch, Supervision};
+use supervisor::{ATTENTION, Happening, SignalWatch, Supervision};
 
 /// Options of a replay.
 #[derive(Clone, Debug, Args)]
@@ -208,7 +208,7 @@ fn digest(
                 break (complete, view);
             }
         }
-        match supervision.attend(&services, Duration::from_millis(10)) {
+        match supervision.attend(&services, ATTENTION) {
             Happening::Signal(_) => return Err("interrupted".into()),
             Happening::RunEnded(process, how) => return Err(format!("{process} {how}").into()),
             Happening::Died(process, how) => eprintln!("sparrowhawk: {process} {how}: restarting it"),

@@ -10,53 +10,40 @@ use runtime::images::StoredImage;
 /// Weight of a vote for free or occluded against one for occupied (Table 3.1).
 const SAFE_DISCOUNT: f32 = 0.5;
 
-/// Votes that a point is safe, to be set against those that it is occupied.
-///
-/// Eq. 3.11 takes half of their sum. Views err together, though: what one is too far away to resolve, such as a thin
-/// branch, its neighbours miss as well, and ten of them would outvote the one view that was near enough. So the sum
-/// counts for no more than the strongest free vote, and views from which the point is hidden clear nothing alone.
-#[derive(Clone, Copy, Default)]
-struct Safe {
-    sum: f32,
-    strongest_free: f32,
-}
-
-impl Safe {
-    fn free(&mut self, weight: f32) {
-        self.sum += weight;
-        self.strongest_free = self.strongest_free.max(weight);
-    }
-
-    fn occluded(&mut self, weight: f32) {
-        self.sum += weight;
-    }
-
-    fn discount(self) -> f32 {
-        (SAFE_DISCOUNT * self.sum).min(self.strongest_free)
-    }
-}
-
 /// Views whose votes for occupied count in full.
 const WITNESSES: f32 = 2.0;
 
-/// Votes that a point is occupied.
+/// Votes of one kind on a point. Views err together, so their sum is capped by the strongest among them.
 ///
-/// Far views pad an obstacle by what they cannot resolve, and err together as well: their sum counts for no more than
-/// twice the strongest of them, or no number of views from half of the distance could clear what a row of them padded.
+/// Eq. 3.11 takes half of the safe votes' sum. What one view is too far away to resolve, such as a thin branch, its
+/// neighbours miss as well, and ten of them would outvote the one view that was near enough. So the safe sum counts for
+/// no more than the strongest free vote, and views from which the point is hidden clear nothing alone.
+///
+/// Far views pad an obstacle by what they cannot resolve. So the occupied sum counts for no more than twice its
+/// strongest vote, or no number of views from half of the distance could clear what a row of them padded.
 #[derive(Clone, Copy, Default)]
-struct Occupied {
+struct Votes {
     sum: f32,
     strongest: f32,
 }
 
-impl Occupied {
-    fn vote(&mut self, weight: f32) {
+impl Votes {
+    fn cast(&mut self, weight: f32) {
         self.sum += weight;
         self.strongest = self.strongest.max(weight);
     }
 
-    fn sum(self) -> f32 {
+    /// A vote that supports others and counts for nothing alone.
+    fn support(&mut self, weight: f32) {
+        self.sum += weight;
+    }
+
+    fn as_occupied(self) -> f32 {
         self.sum.min(WITNESSES * self.strongest)
+    }
+
+    fn as_safe(self) -> f32 {
+        (SAFE_DISCOUNT * self.sum).min(self.strongest)
     }
 }
 
@@ -190,33 +177,32 @@ impl View {
     /// The sum of the keyframes' votes on a point (Table 3.1).
     pub fn score(&self, point: Point<World>) -> Score {
         let mut score = Score { sum: 0.0, vouched: false, unknown: Unknown::OutOfView };
-        let mut occupied = Occupied::default();
-        let (mut safe, mut background) = (Safe::default(), Safe::default());
+        let (mut occupied, mut safe, mut background) = (Votes::default(), Votes::default(), Votes::default());
         for key in &self.keys {
             match self.vote(key, point) {
                 Vote::OutOfView => {}
                 Vote::NoReturn => score.unknown = score.unknown.max(Unknown::NoReturn),
                 Vote::Occluded(weight) => {
-                    safe.occluded(weight);
+                    safe.support(weight);
                     score.unknown = Unknown::Occluded;
                 }
-                Vote::Occupied(weight) => occupied.vote(weight),
+                Vote::Occupied(weight) => occupied.cast(weight),
                 Vote::Free(weight) => {
-                    safe.free(weight);
+                    safe.cast(weight);
                     score.vouched = true;
                 }
                 Vote::FarBackground(weight) => {
                     score.unknown = score.unknown.max(Unknown::NoReturn);
-                    background.free(weight);
+                    background.cast(weight);
                 }
             }
         }
         if background.sum > 0.0 && self.background_has_parallax(point) {
             score.vouched = true;
             safe.sum += background.sum;
-            safe.strongest_free = safe.strongest_free.max(background.strongest_free);
+            safe.strongest = safe.strongest.max(background.strongest);
         }
-        score.sum = occupied.sum() - safe.discount();
+        score.sum = occupied.as_occupied() - safe.as_safe();
         score
     }
 
@@ -254,8 +240,9 @@ impl View {
         if front == UNKNOWN_FRONT {
             return Vote::NoReturn;
         }
-        let disparity_px = self.focal_baseline / z - self.rig.doffs_px as f32;
-        let (d, weight) = (disparity_px * SCALE, self.noise.vote(self.focal_baseline / z));
+        let inverse_depth_px = self.focal_baseline / z;
+        let d = (inverse_depth_px - self.rig.doffs_px as f32) * SCALE;
+        let weight = self.noise.vote(inverse_depth_px);
         if d > f32::from(front) {
             match (d > f32::from(near), back == NEVER_OCCUPIED) {
                 (true, _) => Vote::NoReturn,

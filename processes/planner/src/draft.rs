@@ -7,7 +7,7 @@ use ipc_types::frames::wrap_angle_rad;
 use ipc_types::messages::TrajectoryPoint;
 use ipc_types::{Point, Vector, World};
 
-/// Least points of a turn on the spot, which has a single sample when at rest.
+/// Least points of a turn: the stop it goes with may be shorter.
 const TURN_POINTS: usize = 12;
 
 /// Slower than this the vehicle holds its place, m/s.

@@ -123,7 +123,11 @@ impl Planner {
         let plan = |mode| Plan { start, mode, tally: Tally::default() };
         // Also when this process was restarted in mid-flight.
         self.airborne |= !self.is_take_off(situation.position);
-        if situation.is_stale(&self.config) && self.stuck.stage != Stage::GivenUp {
+        if self.stuck.stage == Stage::GivenUp {
+            self.brake(from, situation.yaw_rad);
+            return plan(PlanMode::GivenUp);
+        }
+        if situation.is_stale(&self.config) {
             self.brake(from, situation.yaw_rad);
             return plan(PlanMode::Hold);
         }
@@ -135,10 +139,6 @@ impl Planner {
         }
         let to_goal_m = situation.position.distance(situation.goal);
         self.arrived = to_goal_m < if self.arrived { LEFT_M } else { ARRIVED_M };
-        if self.stuck.stage == Stage::GivenUp {
-            self.brake(from, situation.yaw_rad);
-            return plan(PlanMode::GivenUp);
-        }
         if let Stage::BackingOut { since } = self.stuck.stage {
             return Plan { mode: self.back_out(situation, from, since, view), ..plan(PlanMode::BackOut) };
         }

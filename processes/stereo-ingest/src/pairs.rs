@@ -55,7 +55,7 @@ fn read_image(path: &Path) -> Result<DynamicImage, PairError> {
     reader.decode().map_err(|source| PairError::Image { path: path.display().to_string(), source })
 }
 
-/// An image as 8-bit grey. 16-bit files must use their range: 10- or 12-bit data would come out black.
+/// An image as 8-bit grey. 16-bit files must use their range: 10- to 14-bit data would come out dark.
 fn read_grey(path: &Path) -> Result<image::GrayImage, PairError> {
     let image = read_image(path)?;
     if image.color().bytes_per_pixel() / image.color().channel_count() > 1 {
@@ -126,7 +126,7 @@ pub fn load_calibration(path: &Path, pair: &StereoPair) -> Result<StereoRig, Pai
     Ok(rig)
 }
 
-/// Middlebury 2014 and ETH3D: lines of `key=value`, baseline in mm.
+/// Middlebury 2014 and ETH3D: lines of `key=value`; both cameras and the image size in px, baseline in mm.
 fn middlebury(text: &str) -> Result<StereoRig, String> {
     let entries: HashMap<&str, &str> =
         text.lines().filter_map(|line| line.split_once('=')).map(|(key, value)| (key.trim(), value.trim())).collect();

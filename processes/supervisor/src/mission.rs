@@ -84,7 +84,7 @@ const HOVERING_MPS: f64 = 0.3;
 /// For this long.
 const HOVERING_FOR: Duration = Duration::from_secs(1);
 /// Longest time between two looks at the topics: images wait in none of them.
-const ATTENTION: Duration = Duration::from_millis(10);
+pub const ATTENTION: Duration = Duration::from_millis(10);
 /// Between goal messages.
 const GOAL_INTERVAL: Duration = Duration::from_millis(500);
 
