@@ -20,17 +20,7 @@ fn bench(criterion: &mut Criterion) {
             baseline_m: 0.3,
             doffs_px: 0.0,
         };
-        let config = Config {
-            max_disparity_px: 64,
-            small_step_penalty: 7,
-            large_step_penalty: 40,
-            uniqueness_percent: 5,
-            left_right_px: 1,
-            least_texture: 1.5,
-            speckle_area_px: 60,
-            speckle_size_m: 0.04,
-            speckle_step_px: 1.0,
-        };
+        let config = Config::dense(64);
         let mut matcher = Matcher::new(&rig, config);
         let mut disparity = vec![0; width * height];
         criterion.bench_function(&format!("stereo {width}x{height}x64"), |bencher| {

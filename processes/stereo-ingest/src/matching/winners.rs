@@ -1,0 +1,197 @@
+//! From a row's winners to disparities: left-right consistency, bridging, sub-pixel.
+
+use ipc_types::disparity::{MINIMUM, NO_MATCH, SCALE};
+
+/// What a winner must satisfy.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Consistency {
+    /// Largest difference between a match and the one that the right pixel prefers, px.
+    pub(crate) left_right_px: u32,
+    /// Longest run of inconsistent pixels that may keep their winners, if these continue both neighbours.
+    pub(crate) bridge_px: usize,
+}
+
+/// Largest difference between a bridged pixel and the ends of its run, fixed point.
+const BRIDGE_STEP: u16 = 2 * SCALE as u16;
+/// More than any disparity, px: columns left of the image that matches outside of it fall into.
+const MARGIN: usize = 256;
+
+/// Added to a winner that is not unique.
+pub(crate) const AMBIGUOUS: u16 = 1 << 15;
+
+/// Winners of a row, and scratch.
+#[derive(Debug)]
+pub(crate) struct Winners {
+    /// By column: the disparity of the least cost, perhaps with [`AMBIGUOUS`].
+    winners: Vec<u16>,
+    /// Summed costs after a margin of [`AHEAD`], `stride` a column, of which `range` mean something.
+    sums: Vec<u8>,
+    stride: usize,
+    range: usize,
+    /// By right column, after the margin: the least cost that points to it, above the disparity it has.
+    right: Vec<u16>,
+    /// Bytes from the lowest: the sums below, at and above the winner.
+    around: Vec<u32>,
+    /// Disparities of all unique winners, consistent or not.
+    found: Vec<u16>,
+}
+
+/// Bytes before and after the sums, so that four bytes from the one below any winner can be read.
+const AHEAD: usize = 4;
+
+impl Winners {
+    pub(crate) fn new(width: usize, stride: usize, range: usize) -> Self {
+        Self {
+            winners: vec![0; width],
+            sums: vec![u8::MAX; AHEAD + width * stride + AHEAD],
+            stride,
+            range,
+            right: vec![0; MARGIN + width],
+            around: vec![0; width],
+            found: vec![NO_MATCH; width],
+        }
+    }
+
+    /// By column: where to put its sums and its winner.
+    #[inline(always)]
+    pub(crate) fn pixels(&mut self) -> impl Iterator<Item = (&mut [u8], &mut u16)> {
+        self.sums[AHEAD..].chunks_exact_mut(self.stride).zip(&mut self.winners)
+    }
+
+    /// Where to put a column's sums and its winner.
+    #[inline(always)]
+    pub(crate) fn pixel(&mut self, x: usize) -> (&mut [u8], &mut u16) {
+        (&mut self.sums[AHEAD + x * self.stride..][..self.stride], &mut self.winners[x])
+    }
+
+    /// Writes the row's disparities.
+    #[inline(always)]
+    pub(crate) fn finish(&mut self, rules: Consistency, out: &mut [u16]) {
+        self.right.fill(u16::MAX);
+        let mut start = AHEAD - 1;
+        for (x, (&winner, around)) in self.winners.iter().zip(&mut self.around).enumerate() {
+            let disparity = usize::from(winner & !AMBIGUOUS);
+            let bytes = self.sums[start + disparity..].first_chunk().copied().unwrap_or_default();
+            start += self.stride;
+            *around = u32::from_le_bytes(bytes);
+            let right = &mut self.right[MARGIN + x - disparity];
+            *right = (*right).min(u16::from(bytes[1]) << 8 | disparity as u16);
+        }
+        let last = self.range as u16 - 1;
+        for ((&winner, &around), found) in self.winners.iter().zip(&self.around).zip(&mut self.found) {
+            let [below, cost, above, _] = around.to_le_bytes();
+            let disparity = winner & !AMBIGUOUS;
+            let inside = disparity > 0 && disparity < last && below != u8::MAX && above != u8::MAX;
+            let fixed = fixed_point(disparity, below, cost, above, inside);
+            *found = if winner < AMBIGUOUS { fixed } else { NO_MATCH };
+        }
+        for (x, ((&winner, &found), out)) in self.winners.iter().zip(&self.found).zip(out.iter_mut()).enumerate() {
+            let disparity = winner & !AMBIGUOUS;
+            let preferred = self.right[MARGIN + x - usize::from(disparity)] & 0xff;
+            let consistent = u32::from(preferred.abs_diff(disparity)) <= rules.left_right_px;
+            *out = if consistent && usize::from(disparity) <= x { found } else { NO_MATCH };
+        }
+        if rules.bridge_px > 0 {
+            self.bridge(rules.bridge_px, out);
+        }
+    }
+
+    /// Short inconsistent runs whose winners continue what lies on both sides are kept: the right image was wrong
+    /// about them, not the left one. A run beside a step in disparity, which is how an occlusion looks, is not.
+    #[inline(always)]
+    fn bridge(&self, longest: usize, out: &mut [u16]) {
+        let near = |a: u16, b: u16| a.abs_diff(b) <= BRIDGE_STEP;
+        let mut x = 0;
+        while let Some(gap) = out[x..].iter().position(|&pixel| pixel == NO_MATCH) {
+            let start = x + gap;
+            x = out[start..].iter().position(|&pixel| pixel != NO_MATCH).map_or(out.len(), |length| start + length);
+            if start == 0 || x == out.len() || x - start > longest || !near(out[start - 1], out[x]) {
+                continue;
+            }
+            let (before, after) = (out[start - 1], out[x]);
+            for ((column, out), &found) in (start..).zip(&mut out[start..x]).zip(&self.found[start..]) {
+                let in_image = usize::from(found / SCALE as u16) < column;
+                if found != NO_MATCH && in_image && near(found, before) && near(found, after) {
+                    *out = found;
+                }
+            }
+        }
+    }
+}
+
+/// Disparity between the steps, rounded to fixed point, as [`ipc_types::disparity::encode`] does.
+///
+/// The minimum lies where two lines of equal and opposite slope meet that pass through the winner and its neighbours:
+/// sums of absolute values are wedges, not parabolas (Shimizu and Okutomi 2005).
+#[inline(always)]
+fn fixed_point(disparity: u16, below: u8, cost: u8, above: u8, inside: bool) -> u16 {
+    let (below, cost, above) = (f32::from(below), f32::from(cost), f32::from(above));
+    let slope = below.max(above) - cost;
+    let offset = if inside && slope > 0.0 { (below - above) / (2.0 * slope) } else { 0.0 };
+    let fixed = ((f32::from(disparity) + offset) * SCALE + 0.5) as i32;
+    (fixed as u16).max(MINIMUM)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ipc_types::disparity::decode;
+
+    const RULES: Consistency = Consistency { left_right_px: 1, bridge_px: 4 };
+
+    /// A pixel's winner and the sums at it and around it.
+    #[derive(Clone, Copy)]
+    struct Pixel(u16, [u8; 3]);
+
+    fn finish(pixels: &[Pixel]) -> Vec<Option<f32>> {
+        let mut winners = Winners::new(pixels.len(), 16, 16);
+        for (Pixel(winner, costs), (sums, out)) in pixels.iter().zip(winners.pixels()) {
+            *out = *winner;
+            let disparity = usize::from(winner & !AMBIGUOUS);
+            for (sum, cost) in sums[disparity.saturating_sub(1)..].iter_mut().zip(&costs[usize::from(disparity == 0)..])
+            {
+                *sum = *cost;
+            }
+        }
+        let mut out = vec![0; pixels.len()];
+        winners.finish(RULES, &mut out);
+        out.into_iter().map(decode).collect()
+    }
+
+    #[test]
+    fn finds_the_minimum_between_disparities() {
+        // A wedge of slope 20 whose tip lies at 7.25.
+        let out = finish(&[Pixel(7, [25, 5, 15]); 40]);
+        assert_eq!(out[20], Some(7.25));
+        assert!(out[..7].iter().all(Option::is_none), "no right pixel to match with");
+        assert_eq!(finish(&[Pixel(15, [25, 5, 15]); 40])[20], Some(15.0), "at the end of the range");
+        assert_eq!(finish(&[Pixel(0, [25, 5, 15]); 40])[20], Some(0.25), "and at infinity, which is never reported");
+    }
+
+    #[test]
+    fn what_the_right_image_contradicts_is_unmatched() {
+        // Columns 30 to 34 see something at 9 that only the left image sees: what they claim belongs to columns 23 to 27.
+        let mut row = [Pixel(2, [90, 50, 90]); 60];
+        row[30..35].fill(Pixel(9, [90, 60, 90]));
+        let out = finish(&row);
+        assert!(out[30..35].iter().all(Option::is_none), "{out:?}");
+        assert!(out[2..30].iter().chain(&out[35..]).all(|d| *d == Some(2.0)));
+    }
+
+    #[test]
+    fn short_gaps_are_bridged_by_their_own_winners_only() {
+        let mut row = [Pixel(5, [90, 50, 90]); 60];
+        row[30].0 |= AMBIGUOUS;
+        row[34..36].fill(Pixel(8, [90, 60, 90]));
+        row[40..42].fill(Pixel(7, [90, 60, 90]));
+        // Right columns 43 to 46 are taken by what lies further right, so columns 48 to 51 seem inconsistent.
+        row[54..58].fill(Pixel(11, [90, 40, 90]));
+        let out = finish(&row);
+        assert_eq!(out[30], None, "ambiguous");
+        assert_eq!(out[34..36], [None; 2], "3 px off what is around them");
+        assert_eq!(out[40..42], [Some(7.0); 2], "contradicted, but they continue both sides");
+        assert_eq!(out[48..52], [Some(5.0); 4], "as long as is allowed");
+        row[53] = Pixel(11, [90, 40, 90]);
+        assert_eq!(finish(&row)[47..52], [None; 5], "too long");
+    }
+}
