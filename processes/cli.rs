@@ -5,6 +5,7 @@ use crate::config::FlightConfig;
 use crate::fly::{FlyArguments, fly};
 use crate::replay::{ReplayArguments, replay};
 use crate::run_files::VERSION;
+use crate::stereo::{StereoArguments, stereo};
 use clap::{Args, Parser, Subcommand};
 use std::error::Error;
 use std::path::PathBuf;
@@ -31,6 +32,8 @@ enum Command {
     Fly(FlyArguments),
     /// Feed the graph with a real stereo pair: disparity, configuration space and occupancy.
     Replay(ReplayArguments),
+    /// Match one pair of images: disparity as a file, error figures, time.
+    Stereo(StereoArguments),
     /// Check a configuration: every value, and how they fit each other.
     Check(CheckArguments),
     /// One process of a run; the supervisor starts these.
@@ -56,6 +59,7 @@ pub fn run() -> Result<ExitCode, Box<dyn Error>> {
     match command_line.command.unwrap_or(Command::Fly(command_line.fly)) {
         Command::Fly(arguments) => fly(&arguments),
         Command::Replay(arguments) => replay(&arguments),
+        Command::Stereo(arguments) => stereo(&arguments),
         Command::Check(arguments) => check(&arguments),
         Command::Process(arguments) => child::run(&arguments).map(|()| ExitCode::SUCCESS),
     }

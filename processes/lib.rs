@@ -22,5 +22,6 @@ pub mod graph;
 pub mod graph_config;
 mod replay;
 mod run_files;
+mod stereo;
 
 pub use fly::report;

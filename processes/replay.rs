@@ -20,7 +20,7 @@ use std::error::Error;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
-use stereo_ingest::{DisparityError, GroundTruth, StereoPair, load_calibration, save_disparity};
+use stereo_ingest::{Calibration, DisparityError, GroundTruth, StereoPair, save_disparity};
 use supervisor::{ATTENTION, Happening, SignalWatch, Supervision};
 
 /// Options of a replay.
@@ -158,7 +158,12 @@ pub(crate) fn replay(arguments: &ReplayArguments) -> Result<ExitCode, Box<dyn Er
 impl ReplayArguments {
     fn rig(&self, pair: &StereoPair) -> Result<StereoRig, Box<dyn Error>> {
         if let Some(path) = &self.calib {
-            return Ok(load_calibration(path, pair)?);
+            return match Calibration::load(path, Some((pair.width_px, pair.height_px)))? {
+                Calibration::Rectified(rig) => Ok(rig),
+                Calibration::Raw(_) => {
+                    Err(format!("{}: is of raw images; expected a rectified pair", path.display()).into())
+                }
+            };
         }
         let (Some(focal_px), Some(baseline_m)) = (self.focal, self.baseline) else {
             return Err("no calibration: give --calib FILE, or --focal PX and --baseline M".into());

@@ -38,6 +38,33 @@ impl GroundTruth {
         Ok(Self(truth))
     }
 
+    /// The same without pixels whose place in the right image something nearer covers, or that lie outside of it: no
+    /// matcher can see them. What has no truth covers nothing.
+    pub fn not_occluded(&self, width_px: u32) -> Self {
+        let mut seen = self.0.clone();
+        let mut nearest = vec![0.0_f32; width_px as usize];
+        for row in seen.chunks_exact_mut(width_px as usize) {
+            let place = |column: usize, disparity: f32| {
+                let right = (column as f32 - disparity).round();
+                (right >= 0.0).then_some(right as usize)
+            };
+            nearest.fill(0.0);
+            for (column, truth) in row.iter().enumerate() {
+                if let Some(disparity) = *truth
+                    && let Some(right) = place(column, disparity)
+                {
+                    nearest[right] = nearest[right].max(disparity);
+                }
+            }
+            for (column, truth) in row.iter_mut().enumerate() {
+                *truth = truth.filter(|&disparity| {
+                    place(column, disparity).is_some_and(|right| nearest[right] <= disparity + 1.0)
+                });
+            }
+        }
+        Self(seen)
+    }
+
     /// Scores a disparity image of the same size.
     pub fn score(&self, disparity: &[u16]) -> DisparityError {
         let (mut scored, mut matched, mut bad, mut total_error) = (0_usize, 0_usize, [0_usize; 3], 0.0);
@@ -74,6 +101,16 @@ impl From<Vec<Option<f32>>> for GroundTruth {
 mod tests {
     use super::*;
     use ipc_types::disparity::{NO_MATCH, encode};
+
+    #[test]
+    fn what_something_nearer_covers_is_not_scored() {
+        let mut truth = vec![Some(2.0); 20];
+        truth[10..13].fill(Some(6.0));
+        let seen = GroundTruth(truth).not_occluded(20).0;
+        let hidden: Vec<usize> = (0..20).filter(|&column| seen[column].is_none()).collect();
+        // 0 and 1 lie outside of the right image, 6 to 8 where 10 to 12 are seen from there.
+        assert_eq!(hidden, [0, 1, 6, 7, 8]);
+    }
 
     #[test]
     fn unmatched_counts_as_bad() {

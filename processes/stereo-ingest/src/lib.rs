@@ -8,6 +8,7 @@
 //! [`StereoProcess`] connects the matcher to its topics. [`PairPlayer`] is the source that reads image files.
 //! The core refuses images of another size than the rig's, and allocates nothing after construction.
 
+pub mod calibration;
 mod config;
 mod ground_truth;
 mod matching;
@@ -15,9 +16,10 @@ mod pairs;
 mod player;
 mod process;
 
+pub use calibration::Calibration;
 pub use config::{Config, Method};
 pub use ground_truth::{DisparityError, GroundTruth};
 pub use matching::{MatchError, MatchStatistics, Matcher, SimdLevel};
-pub use pairs::{PairError, StereoPair, load_calibration, load_disparity, load_mask, save_disparity};
+pub use pairs::{PairError, StereoPair, load_disparity, load_mask, save_disparity};
 pub use player::PairPlayer;
 pub use process::StereoProcess;

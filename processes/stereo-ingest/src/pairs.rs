@@ -2,9 +2,7 @@
 
 use image::{DynamicImage, ImageReader, Luma};
 use ipc_types::StereoRig;
-use ipc_types::bounds::Bounds;
 use ipc_types::disparity::{NO_MATCH, SCALE, decode};
-use std::collections::HashMap;
 use std::fs;
 use std::io::{self, Write};
 use std::path::Path;
@@ -41,13 +39,23 @@ pub enum PairError {
     },
 }
 
-fn unusable(path: &Path, problem: impl Into<String>) -> PairError {
+pub(crate) fn unusable(path: &Path, problem: impl Into<String>) -> PairError {
     PairError::Unusable { path: path.display().to_string(), problem: problem.into() }
 }
 
 fn io_error(path: &Path) -> impl FnOnce(io::Error) -> PairError {
     let path = path.display().to_string();
     move |source| PairError::Io { path, source }
+}
+
+/// A small text file.
+pub(crate) fn read_text(path: &Path) -> Result<String, PairError> {
+    const LARGEST_TEXT: u64 = 1 << 20;
+    let bytes = fs::metadata(path).map_err(io_error(path))?.len();
+    if bytes > LARGEST_TEXT {
+        return Err(unusable(path, format!("has {bytes} bytes, allowed are {LARGEST_TEXT}")));
+    }
+    fs::read_to_string(path).map_err(io_error(path))
 }
 
 fn read_image(path: &Path) -> Result<DynamicImage, PairError> {
@@ -96,74 +104,6 @@ impl StereoPair {
         pixels.extend_from_slice(&right_image);
         Ok(Self { width_px: size.0, height_px: size.1, pixels })
     }
-}
-
-/// Reads a calibration: our RON [`StereoRig`] (`.ron`), or Middlebury's `calib.txt` (`cam0=[f 0 cx; …]`, mm).
-/// The rig must fit images of the given size.
-///
-/// # Errors
-/// The file is missing or malformed, or describes no possible rig, or another image size.
-pub fn load_calibration(path: &Path, pair: &StereoPair) -> Result<StereoRig, PairError> {
-    let text = fs::read_to_string(path).map_err(io_error(path))?;
-    let rig = if path.extension().is_some_and(|extension| extension == "ron") {
-        ron::from_str(&text).map_err(|error| unusable(path, error.to_string()))?
-    } else {
-        middlebury(&text).map_err(|problem| unusable(path, problem))?
-    };
-    let mut bounds = Bounds::default();
-    rig.check(&mut bounds);
-    let violations = bounds.into_violations();
-    if !violations.is_empty() {
-        return Err(unusable(path, violations.join("; ")));
-    }
-    if (rig.width_px, rig.height_px) != (pair.width_px, pair.height_px) {
-        let problem = format!(
-            "is for images of {} x {} px, the pair has {} x {} px",
-            rig.width_px, rig.height_px, pair.width_px, pair.height_px
-        );
-        return Err(unusable(path, problem));
-    }
-    Ok(rig)
-}
-
-/// Middlebury 2014 and ETH3D: lines of `key=value`; both cameras and the image size in px, baseline in mm.
-fn middlebury(text: &str) -> Result<StereoRig, String> {
-    let entries: HashMap<&str, &str> =
-        text.lines().filter_map(|line| line.split_once('=')).map(|(key, value)| (key.trim(), value.trim())).collect();
-    let number = |key: &str| -> Result<f64, String> {
-        let value =
-            entries.get(key).ok_or(format!("has no \"{key}=\" line; expected .ron or Middlebury's calib.txt"))?;
-        value.parse().map_err(|_| format!("{key} is \"{value}\", expected a number"))
-    };
-    let camera = |key: &str| -> Result<[f64; 3], String> {
-        let value =
-            entries.get(key).ok_or(format!("has no \"{key}=\" line; expected .ron or Middlebury's calib.txt"))?;
-        let cells: Result<Vec<f64>, _> =
-            value.trim_matches(['[', ']']).split([' ', ';']).filter(|cell| !cell.is_empty()).map(str::parse).collect();
-        match cells.as_deref() {
-            Ok([f, _, cx, _, _, cy, ..]) => Ok([*f, *cx, *cy]),
-            _ => Err(format!("{key} is \"{value}\", expected [f 0 cx; 0 f cy; 0 0 1]")),
-        }
-    };
-    let [focal_px, cx_px, cy_px] = camera("cam0")?;
-    let [right_focal_px, right_cx_px, right_cy_px] = camera("cam1")?;
-    if (right_focal_px, right_cy_px) != (focal_px, cy_px) {
-        return Err("has cameras of different focal length or cy; expected a rectified pair".to_owned());
-    }
-    let doffs_px = right_cx_px - cx_px;
-    let stated_px = if entries.contains_key("doffs") { number("doffs")? } else { doffs_px };
-    if (stated_px - doffs_px).abs() > 0.01 {
-        return Err(format!("has doffs={stated_px}, but its cameras' cx differ by {doffs_px:.3}"));
-    }
-    Ok(StereoRig {
-        width_px: number("width")? as u32,
-        height_px: number("height")? as u32,
-        focal_px,
-        cx_px,
-        cy_px,
-        baseline_m: number("baseline")? * 1e-3,
-        doffs_px,
-    })
 }
 
 /// Reads a disparity image: 16-bit PNG (KITTI: px × 256, 0 = none) or PFM (px; infinite, NaN or ≤ 0 = none).
@@ -264,27 +204,6 @@ pub fn save_disparity(path: &Path, width_px: u32, height_px: u32, disparity: &[u
 mod tests {
     use super::*;
     use ipc_types::disparity::encode;
-
-    #[test]
-    fn reads_middlebury_calibrations() {
-        let left = "cam0=[542.019 0 458.5; 0 542.019 244.9; 0 0 1]";
-        let right = "cam1=[542.019 0 460.0; 0 542.019 244.9; 0 0 1]";
-        let rest = "baseline=59.5549\nwidth=940\nheight=490";
-        let rig = middlebury(&[left, right, rest].join("\n")).expect("well-formed");
-        assert_eq!((rig.focal_px, rig.cx_px, rig.cy_px, rig.width_px), (542.019, 458.5, 244.9, 940));
-        assert!((rig.baseline_m - 0.0595549).abs() < 1e-9 && (rig.doffs_px - 1.5).abs() < 1e-9);
-        let other_lens = right.replace("542.019", "541");
-        for (lines, complaint) in [
-            (vec!["baseline=1"], "cam0"),
-            (vec![left, rest], "cam1"),
-            (vec![left, right, "baseline=1"], "width"),
-            (vec![left, right, rest, "doffs=0"], "doffs"),
-            (vec![left, &other_lens, rest], "focal length"),
-        ] {
-            let message = middlebury(&lines.join("\n")).expect_err(complaint);
-            assert!(message.contains(complaint), "{message}");
-        }
-    }
 
     #[test]
     fn disparity_files_round_trip() {

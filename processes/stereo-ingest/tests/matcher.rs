@@ -34,12 +34,8 @@ fn pair(width: usize, height: usize, near: usize) -> (Vec<u8>, Vec<u8>, Vec<usiz
 }
 
 fn methods() -> [Method; 5] {
-    let semi_global = |paths, window_px| Method::SemiGlobal {
-        paths,
-        window_px,
-        small_step_penalty: 14,
-        large_step_penalty: 65,
-    };
+    let semi_global =
+        |paths, window_px| Method::SemiGlobal { paths, window_px, small_step_penalty: 14, large_step_penalty: 65 };
     [semi_global(3, 5), semi_global(5, 3), semi_global(3, 1), semi_global(3, 7), Method::Block { window_px: 9 }]
 }
 
@@ -55,7 +51,8 @@ fn surfaces_are_found_at_their_disparity() {
         assert_eq!(found.valid, disparity.iter().filter(|&&pixel| is_valid(pixel)).count());
         let inner = |i: &usize| (30..width - 10).contains(&(i % width)) && (10..height - 10).contains(&(i / width));
         let scored: Vec<usize> = (0..width * height).filter(inner).collect();
-        let right_ones = scored.iter().filter(|&&i| decode(disparity[i]).is_some_and(|d| (d - truth[i] as f32).abs() < 1.0));
+        let right_ones =
+            scored.iter().filter(|&&i| decode(disparity[i]).is_some_and(|d| (d - truth[i] as f32).abs() < 1.0));
         let share = right_ones.count() as f64 / scored.len() as f64;
         // The rest lies around the square: its shadow in the right image, and what its border blurs.
         assert!(share > 0.85, "{method:?}: {share:.3}");
@@ -106,7 +103,8 @@ fn gain_and_offset_between_the_cameras_hardly_matter() {
     let mut disparity = vec![0; width * height];
     let mut matcher = Matcher::new(&rig(width as u32, height as u32), Config::dense(64));
     matcher.step(&left, &darker, &mut disparity).expect("sizes agree");
-    let found = (0..width * height).filter(|&i| decode(disparity[i]).is_some_and(|d| (d - truth[i] as f32).abs() < 1.0));
+    let found =
+        (0..width * height).filter(|&i| decode(disparity[i]).is_some_and(|d| (d - truth[i] as f32).abs() < 1.0));
     let share = found.count() as f64 / (width * height) as f64;
     assert!(share > 0.75, "{share:.3}");
 }
