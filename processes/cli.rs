@@ -1,5 +1,6 @@
 //! The command line.
 
+use crate::calibrate::{self, CalibrateArguments};
 use crate::child::{self, ChildArguments};
 use crate::config::FlightConfig;
 use crate::fly::{FlyArguments, fly};
@@ -34,6 +35,8 @@ enum Command {
     Replay(ReplayArguments),
     /// Match one pair of images: disparity as a file, error figures, time.
     Stereo(StereoArguments),
+    /// Calibrate a stereo pair from chessboards, or check a calibration; measure the disparity error.
+    Calibrate(CalibrateArguments),
     /// Check a configuration: every value, and how they fit each other.
     Check(CheckArguments),
     /// One process of a run; the supervisor starts these.
@@ -60,6 +63,7 @@ pub fn run() -> Result<ExitCode, Box<dyn Error>> {
         Command::Fly(arguments) => fly(&arguments),
         Command::Replay(arguments) => replay(&arguments),
         Command::Stereo(arguments) => stereo(&arguments),
+        Command::Calibrate(arguments) => calibrate::run(&arguments),
         Command::Check(arguments) => check(&arguments),
         Command::Process(arguments) => child::run(&arguments).map(|()| ExitCode::SUCCESS),
     }

@@ -13,6 +13,7 @@
 //! [`build`](graph) turns a [`config::FlightConfig`] into processes; [`child`] runs one of them over iceoryx2,
 //! [`lockstep`](graph::Flight) all of them in one thread. [`cli`] is the command line.
 
+mod calibrate;
 pub mod child;
 pub mod cli;
 pub mod config;
@@ -20,6 +21,7 @@ mod display;
 mod fly;
 pub mod graph;
 pub mod graph_config;
+mod noise_plot;
 mod replay;
 mod run_files;
 mod stereo;

@@ -10,6 +10,7 @@
 
 pub mod calibration;
 mod config;
+mod error_profile;
 mod ground_truth;
 mod matching;
 mod pairs;
@@ -18,6 +19,7 @@ mod process;
 
 pub use calibration::Calibration;
 pub use config::{Config, Method};
+pub use error_profile::{ErrorProfile, GaussianFit, Sample};
 pub use ground_truth::{DisparityError, GroundTruth};
 pub use matching::{MatchError, MatchStatistics, Matcher, SimdLevel};
 pub use pairs::{PairError, StereoPair, load_disparity, load_mask, save_disparity};

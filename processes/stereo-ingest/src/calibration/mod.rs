@@ -1,13 +1,17 @@
 //! Calibration files, raw cameras, rectification.
 
+mod board;
 mod lens;
 mod middlebury;
 mod rectifier;
+mod solve;
 mod stereo;
 mod yaml;
 
+pub use board::{BoardFinder, Pixel};
 pub use lens::{Distortion, Lens};
 pub use rectifier::Rectifier;
+pub use solve::{Board, BoardView, Solution, calibrate, check};
 pub use stereo::{Rectification, StereoCalibration};
 
 use crate::pairs::{PairError, read_text, unusable};

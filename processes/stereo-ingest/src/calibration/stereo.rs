@@ -105,6 +105,22 @@ impl StereoCalibration {
     }
 }
 
+impl Rectification {
+    /// Rectified frame from the left camera's.
+    pub fn left_turn(&self) -> Matrix3<f64> {
+        self.rotations[0]
+    }
+
+    /// Where a raw pixel of a camera (0 left, 1 right) comes to lie, px; `None` where no ray leads there.
+    pub fn rectified(&self, calibration: &StereoCalibration, camera: usize, pixel: [f64; 2]) -> Option<[f64; 2]> {
+        let lens = if camera == 0 { &calibration.left } else { &calibration.right };
+        let [x, y] = lens.unproject(pixel)?;
+        let ray = self.rotations[camera] * Vector3::new(x, y, 1.0);
+        let at = |centre: f64, part: f64| centre + self.rig.focal_px * part / ray.z;
+        (ray.z > 0.0).then(|| [at(self.rig.cx_px, ray.x), at(self.rig.cy_px, ray.y)])
+    }
+}
+
 /// Least and largest normalised coordinates (columns, rows) of the upright rectangle that a turned camera sees all of.
 fn visible(lens: &Lens, rotation: &Matrix3<f64>) -> ([f64; 2], [f64; 2]) {
     const SAMPLES: u32 = 64;
