@@ -11,7 +11,9 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Instant;
 use stereo_ingest::calibration::Rectifier;
-use stereo_ingest::{Calibration, Config, DisparityError, GroundTruth, Matcher, Method, StereoPair, save_disparity};
+use stereo_ingest::{
+    Calibration, Config, DisparityError, GroundTruth, Matcher, Method, PairCheck, PairFault, StereoPair, save_disparity,
+};
 
 /// Options of the command.
 #[derive(Clone, Debug, Args)]
@@ -79,12 +81,18 @@ struct StereoSummary {
     least_match_ms: f64,
     #[serde(skip_serializing_if = "Option::is_none")]
     rectify_ms: Option<f64>,
+    /// What is wrong with the pair, if anything.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    fault: Option<&'static str>,
     /// Of all pixels with a truth (or of those in the mask), and of those that the right camera sees.
     #[serde(skip_serializing_if = "Option::is_none")]
     error: Option<DisparityError>,
     #[serde(skip_serializing_if = "Option::is_none")]
     error_not_occluded: Option<DisparityError>,
 }
+
+/// Times that a pair is looked at for what is wrong with it; other places each time.
+const LOOKS: usize = 40;
 
 pub(crate) fn stereo(arguments: &StereoArguments) -> Result<ExitCode, Box<dyn Error>> {
     let mut pair = StereoPair::load(&arguments.left, &arguments.right)?;
@@ -107,6 +115,14 @@ pub(crate) fn stereo(arguments: &StereoArguments) -> Result<ExitCode, Box<dyn Er
     let truth = arguments.ground_truth.as_deref();
     let truth = truth.map(|path| GroundTruth::load(path, arguments.mask.as_deref(), size.0, size.1)).transpose()?;
     let rectify_ms = rectifier.as_ref().map(|rectifier| rectify(rectifier, &mut pair));
+    let fault = (0..LOOKS).fold(None, {
+        let mut check = PairCheck::new(rig.width_px as usize, rig.height_px as usize, config.max_disparity_px as usize);
+        let (left, right) = pair.pixels.split_at(rig.pixels());
+        move |_, _| check.step(left, right)
+    });
+    if let Some(fault) = fault {
+        eprintln!("WARNING: {}", fault.note());
+    }
     let mut matcher = Matcher::new(&rig, config);
     let mut disparity = vec![0; rig.pixels()];
     let (left, right) = pair.pixels.split_at(rig.pixels());
@@ -132,6 +148,7 @@ pub(crate) fn stereo(arguments: &StereoArguments) -> Result<ExitCode, Box<dyn Er
         match_ms: times[times.len() / 2],
         least_match_ms: times[0],
         rectify_ms,
+        fault: fault.map(PairFault::note),
         error: truth.as_ref().map(|truth| truth.score(&disparity)),
         error_not_occluded: truth.as_ref().map(|truth| truth.not_occluded(rig.width_px).score(&disparity)),
     };

@@ -1,6 +1,6 @@
 //! The stereo-ingest process: stereo frames in, disparity out.
 
-use crate::{Config, Matcher};
+use crate::{Config, Matcher, PairCheck, PairFault};
 use ipc_types::time::FlightTime;
 use ipc_types::topics::{Disparity, StereoFrames};
 use ipc_types::{ProcessId, StereoRig};
@@ -10,6 +10,7 @@ use runtime::{Connect, Message, Ports, Process, Report};
 #[derive(Debug)]
 pub struct StereoProcess {
     matcher: Matcher,
+    check: PairCheck,
     rig: StereoRig,
     report: Report,
 }
@@ -17,7 +18,8 @@ pub struct StereoProcess {
 impl StereoProcess {
     /// For a rig's pairs.
     pub fn new(rig: StereoRig, config: Config) -> Self {
-        Self { matcher: Matcher::new(&rig, config), rig, report: Report::waiting("waiting for stereo frames") }
+        let check = PairCheck::new(rig.width_px as usize, rig.height_px as usize, config.max_disparity_px as usize);
+        Self { matcher: Matcher::new(&rig, config), check, rig, report: Report::waiting("waiting for stereo frames") }
     }
 }
 
@@ -39,16 +41,22 @@ impl Process for StereoProcess {
             return self.report.refuse("stereo frame is not of the rig's size");
         }
         let (left, right) = frame.elements().split_at(pixels);
+        let fault = self.check.step(left, right);
+        let blocked = fault.is_some_and(PairFault::forbids_matching);
         let matcher = &mut self.matcher;
         let valid = FlightTime::from_nanos(header.stamp.valid_ns);
         ports.publish::<Disparity>(valid, pixels, |out, disparity| {
             (out.width_px, out.height_px) = (header.width_px, header.height_px);
-            // Sizes were checked above, so this cannot fail; were it to, nothing would be matched.
-            match matcher.step(left, right, disparity) {
-                Ok(found) => (out.valid, out.textureless) = (found.valid as u32, found.textureless as u32),
-                Err(_) => disparity.fill(ipc_types::disparity::NO_MATCH),
+            let found = if blocked { None } else { matcher.step(left, right, disparity).ok() };
+            match found {
+                Some(found) => (out.valid, out.textureless) = (found.valid as u32, found.textureless as u32),
+                // Such a pair would be matched wrong: nothing is known instead. (Sizes were checked above.)
+                None => disparity.fill(ipc_types::disparity::NO_MATCH),
             }
         });
-        self.report.worked()
+        match fault {
+            Some(fault) => self.report.degraded(fault.note()),
+            None => self.report.worked(),
+        }
     }
 }

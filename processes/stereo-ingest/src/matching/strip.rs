@@ -390,11 +390,12 @@ fn choose<S: Lanes, const K: usize>(sums: &[S; K], weights: &Weights, bytes: &mu
             disparity = k * S::COUNT + mask.trailing_zeros() as usize;
         }
     }
-    let unique = weights.uniqueness_percent == 0 || is_unique(sums, weights, bytes, disparity);
+    let unique = is_unique(sums, weights, bytes, disparity);
     disparity as u16 | if unique { 0 } else { AMBIGUOUS }
 }
 
-/// Whether no sum but the winner's neighbours' is within the share that uniqueness asks for.
+/// Whether no sum but the winner's neighbours' is within the share that uniqueness asks for. Where nothing is asked for, no
+/// other may be the same: where all are, as in front of a covered lens, the first would be taken for infinitely far.
 #[inline(always)]
 fn is_unique<S: Lanes, const K: usize>(sums: &[S; K], weights: &Weights, bytes: &[u8], winner: usize) -> bool {
     let bound = (u32::from(bytes[winner]) * (100 + weights.uniqueness_percent) / 100).min(254) as u8;
@@ -403,6 +404,7 @@ fn is_unique<S: Lanes, const K: usize>(sums: &[S; K], weights: &Weights, bytes: 
     for sum in sums {
         rivals += sum.sub_saturating(limit).equal(zero).count_ones();
     }
-    let near = &bytes[winner.saturating_sub(1)..(winner + 2).min(weights.range)];
-    rivals == near.iter().filter(|&&near| near <= bound).count() as u32
+    let below = winner > 0 && bytes[winner - 1] <= bound;
+    let above = winner + 1 < weights.range && bytes[winner + 1] <= bound;
+    rivals == 1 + u32::from(below) + u32::from(above)
 }

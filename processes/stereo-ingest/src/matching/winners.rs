@@ -32,7 +32,7 @@ pub(crate) struct Winners {
     right: Vec<u16>,
     /// Bytes from the lowest: the sums below, at and above the winner.
     around: Vec<u32>,
-    /// Disparities of all unique winners, consistent or not.
+    /// Disparities of all winners, consistent or not.
     found: Vec<u16>,
 }
 
@@ -82,22 +82,21 @@ impl Winners {
             let [below, cost, above, _] = around.to_le_bytes();
             let disparity = winner & !AMBIGUOUS;
             let inside = disparity > 0 && disparity < last && below != u8::MAX && above != u8::MAX;
-            let fixed = fixed_point(disparity, below, cost, above, inside);
-            *found = if winner < AMBIGUOUS { fixed } else { NO_MATCH };
+            *found = fixed_point(disparity, below, cost, above, inside);
         }
         for (x, ((&winner, &found), out)) in self.winners.iter().zip(&self.found).zip(out.iter_mut()).enumerate() {
             let disparity = winner & !AMBIGUOUS;
             let preferred = self.right[MARGIN + x - usize::from(disparity)] & 0xff;
-            let consistent = u32::from(preferred.abs_diff(disparity)) <= rules.left_right_px;
-            *out = if consistent && usize::from(disparity) <= x { found } else { NO_MATCH };
+            let sound = winner < AMBIGUOUS && u32::from(preferred.abs_diff(disparity)) <= rules.left_right_px;
+            *out = if sound && usize::from(disparity) <= x { found } else { NO_MATCH };
         }
         if rules.bridge_px > 0 {
             self.bridge(rules.bridge_px, out);
         }
     }
 
-    /// Short inconsistent runs whose winners continue what lies on both sides are kept: the right image was wrong
-    /// about them, not the left one. A run beside a step in disparity, which is how an occlusion looks, is not.
+    /// Short inconsistent or ambiguous runs whose winners continue what lies on both sides are kept: the right image was
+    /// wrong about them, not the left one. A run beside a step in disparity, which is how an occlusion looks, is not.
     #[inline(always)]
     fn bridge(&self, longest: usize, out: &mut [u16]) {
         let near = |a: u16, b: u16| a.abs_diff(b) <= BRIDGE_STEP;
@@ -111,7 +110,7 @@ impl Winners {
             let (before, after) = (out[start - 1], out[x]);
             for ((column, out), &found) in (start..).zip(&mut out[start..x]).zip(&self.found[start..]) {
                 let in_image = usize::from(found / SCALE as u16) < column;
-                if found != NO_MATCH && in_image && near(found, before) && near(found, after) {
+                if in_image && near(found, before) && near(found, after) {
                     *out = found;
                 }
             }
@@ -182,12 +181,14 @@ mod tests {
     fn short_gaps_are_bridged_by_their_own_winners_only() {
         let mut row = [Pixel(5, [90, 50, 90]); 60];
         row[30].0 |= AMBIGUOUS;
+        row[20] = Pixel(9 | AMBIGUOUS, [90, 50, 90]);
         row[34..36].fill(Pixel(8, [90, 60, 90]));
         row[40..42].fill(Pixel(7, [90, 60, 90]));
         // Right columns 43 to 46 are taken by what lies further right, so columns 48 to 51 seem inconsistent.
         row[54..58].fill(Pixel(11, [90, 40, 90]));
         let out = finish(&row);
-        assert_eq!(out[30], None, "ambiguous");
+        assert_eq!(out[30], Some(5.0), "ambiguous, but it continues both sides");
+        assert_eq!(out[20], None, "ambiguous and elsewhere");
         assert_eq!(out[34..36], [None; 2], "3 px off what is around them");
         assert_eq!(out[40..42], [Some(7.0); 2], "contradicted, but they continue both sides");
         assert_eq!(out[48..52], [Some(5.0); 4], "as long as is allowed");

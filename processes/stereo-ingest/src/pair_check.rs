@@ -1,0 +1,315 @@
+//! Whether two images can be a rectified pair at all: what is wrong with cameras or cables shows before it is matched.
+//!
+//! Blindness (covered, black, saturated) is seen in a frame's statistics. Swapped images and rows that do not match are
+//! seen by following a few textured patches into the other image, some every frame: votes of the last few dozen decide.
+//! What is found is reported; what would make disparities wrong is not matched. This knows nothing of calibration:
+//! cameras that are turned only a little against each other pass.
+
+/// What is wrong with a pair.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PairFault {
+    /// The left image shows nothing: covered, black or saturated.
+    LeftBlind,
+    /// The right image shows nothing.
+    RightBlind,
+    /// Neither shows anything.
+    BothBlind,
+    /// One image has much less texture than the other: a covered, fogged or unfocused lens.
+    Unequal,
+    /// What is in the left image lies farther right in the right image.
+    Swapped,
+    /// The images are shifted against each other by rows.
+    RowsShifted,
+}
+
+impl PairFault {
+    /// For reports.
+    pub const fn note(self) -> &'static str {
+        match self {
+            Self::LeftBlind => "left image is blind: covered, black or saturated",
+            Self::RightBlind => "right image is blind: covered, black or saturated",
+            Self::BothBlind => "both images are blind: covered, black or saturated",
+            Self::Unequal => "one lens is covered, fogged or out of focus",
+            Self::Swapped => "left and right images are swapped",
+            Self::RowsShifted => "rows of the images do not match: calibration?",
+        }
+    }
+
+    /// Whether matching would only find what is not there.
+    pub const fn forbids_matching(self) -> bool {
+        !matches!(self, Self::RowsShifted)
+    }
+}
+
+/// Follows patches between the images of one rig.
+#[derive(Debug)]
+pub struct PairCheck {
+    width: usize,
+    height: usize,
+    reach: usize,
+    /// The next probe's place in the pattern.
+    probe: usize,
+    /// The last votes: column shift and row shift, px.
+    votes: [Vote; MEMORY],
+    count: usize,
+}
+
+#[derive(Clone, Copy, Debug, Default)]
+struct Vote {
+    shift: i32,
+    rows: f32,
+}
+
+/// Votes that count.
+const MEMORY: usize = 48;
+/// Fewer decide nothing.
+const QUORUM: usize = 16;
+/// Patches looked at in each frame.
+const PROBES: usize = 24;
+/// Half of a patch's side, px.
+const HALF: usize = 4;
+/// Rows searched above and below.
+const ROWS: i32 = 3;
+/// Row shift that is reported, px.
+const ROWS_LIMIT: f32 = 0.6;
+
+impl PairCheck {
+    /// For images of a size and disparities up to `reach_px`.
+    pub fn new(width: usize, height: usize, reach_px: usize) -> Self {
+        let votes = [Vote::default(); MEMORY];
+        Self { width, height, reach: reach_px, probe: 0, votes, count: 0 }
+    }
+
+    /// Looks at the next pair. Row-major grey images of the size given.
+    pub fn step(&mut self, left: &[u8], right: &[u8]) -> Option<PairFault> {
+        let (a, b) = (Statistics::of(left, self.width), Statistics::of(right, self.width));
+        match (a.is_blind(), b.is_blind()) {
+            (true, true) => Some(PairFault::BothBlind),
+            (true, false) => Some(PairFault::LeftBlind),
+            (false, true) => Some(PairFault::RightBlind),
+            _ if a.texture.max(b.texture) > 3.0 * a.texture.min(b.texture) + 1.0 => Some(PairFault::Unequal),
+            _ => {
+                (0..PROBES).for_each(|_| self.follow_next(left, right));
+                self.verdict()
+            }
+        }
+    }
+
+    /// Takes the next patch of a pattern that covers the image evenly, and votes if it is found in the other image.
+    fn follow_next(&mut self, left: &[u8], right: &[u8]) {
+        let margin = HALF + ROWS as usize + 1;
+        let (columns, rows) = (self.width.saturating_sub(2 * margin), self.height.saturating_sub(2 * margin));
+        if columns == 0 || rows == 0 {
+            return;
+        }
+        // Weyl's sequence with two irrational steps: even however long it goes on.
+        let place = self.probe as f64 + 1.0;
+        self.probe = (self.probe + 1) % 65_536;
+        let x = margin + ((place * 0.754_877_666).fract() * columns as f64) as usize;
+        let y = margin + ((place * 0.569_840_291).fract() * rows as f64) as usize;
+        if let Some(vote) = self.follow(left, right, x, y) {
+            self.votes[self.count % MEMORY] = vote;
+            self.count += 1;
+        }
+    }
+
+    fn follow(&self, left: &[u8], right: &[u8], x: usize, y: usize) -> Option<Vote> {
+        let patch = Patch::at(left, self.width, x, y).filter(Patch::is_corner)?;
+        let reach = self.reach as i32;
+        // The least difference of each column shift, with its row shift.
+        let candidate = |shift: i32| -> Option<(f32, i32)> {
+            let column = x.checked_add_signed(-shift as isize).filter(|c| (HALF..self.width - HALF).contains(c))?;
+            let differences = (-ROWS..=ROWS).filter_map(|rows| {
+                let row = y.checked_add_signed(rows as isize)?;
+                Some((Patch::at(right, self.width, column, row)?.difference(&patch), rows))
+            });
+            differences.min_by(|a, b| a.0.total_cmp(&b.0))
+        };
+        let mut best = (f32::INFINITY, 0, 0);
+        let mut second = f32::INFINITY;
+        for shift in -reach..=reach {
+            let Some((least, rows)) = candidate(shift) else { continue };
+            if least < best.0 {
+                if shift - best.1 > 2 {
+                    second = best.0;
+                }
+                best = (least, shift, rows);
+            } else if shift - best.1 > 2 {
+                second = second.min(least);
+            }
+        }
+        let (least, shift, rows) = best;
+        // Found: much better than anywhere else, and not merely the least bad.
+        if least > 0.6 * second || least > 0.5 * patch.contrast || rows.abs() == ROWS {
+            return None;
+        }
+        let column = x.checked_add_signed(-shift as isize)?;
+        let beside = |step: i32| {
+            let row = y.checked_add_signed((rows + step) as isize)?;
+            Some(Patch::at(right, self.width, column, row)?.difference(&patch))
+        };
+        let (above, below) = (beside(-1)?, beside(1)?);
+        let slope = above.max(below) - least;
+        let part = if slope > 0.0 { (above - below) / (2.0 * slope) } else { 0.0 };
+        Some(Vote { shift, rows: rows as f32 + part })
+    }
+
+    fn verdict(&self) -> Option<PairFault> {
+        let votes = &self.votes[..self.count.min(MEMORY)];
+        if votes.len() < QUORUM {
+            return None;
+        }
+        // What lies at infinity has no sign.
+        let backwards = votes.iter().filter(|vote| vote.shift < -1).count();
+        if 2 * backwards > votes.len() {
+            return Some(PairFault::Swapped);
+        }
+        let mut rows = [0.0; MEMORY];
+        for (rows, vote) in rows.iter_mut().zip(votes) {
+            *rows = vote.rows;
+        }
+        let rows = &mut rows[..votes.len()];
+        rows.sort_by(f32::total_cmp);
+        (rows[rows.len() / 2].abs() > ROWS_LIMIT).then_some(PairFault::RowsShifted)
+    }
+}
+
+/// Of every eighth row.
+struct Statistics {
+    /// Mean absolute difference between neighbours, grey levels.
+    texture: f32,
+    /// Standard deviation, grey levels.
+    deviation: f32,
+    /// Shares of nearly black and nearly white pixels.
+    dark: f32,
+    bright: f32,
+}
+
+impl Statistics {
+    fn of(image: &[u8], width: usize) -> Self {
+        let (mut count, mut sum, mut squares, mut gradient, mut dark, mut bright) =
+            (0_u64, 0_u64, 0_u64, 0_u64, 0_u64, 0_u64);
+        for row in image.chunks_exact(width).step_by(8) {
+            for pair in row.windows(2) {
+                let value = u64::from(pair[0]);
+                count += 1;
+                sum += value;
+                squares += value * value;
+                gradient += u64::from(pair[0].abs_diff(pair[1]));
+                dark += u64::from(value < 8);
+                bright += u64::from(value > 247);
+            }
+        }
+        let share = |part: u64| part as f32 / count.max(1) as f32;
+        let mean = share(sum);
+        let deviation = (share(squares) - mean * mean).max(0.0).sqrt();
+        Self { texture: share(gradient), deviation, dark: share(dark), bright: share(bright) }
+    }
+
+    fn is_blind(&self) -> bool {
+        self.dark > 0.95 || self.bright > 0.95 || self.deviation < 3.0
+    }
+}
+
+/// A square of pixels less their mean.
+struct Patch {
+    pixels: [f32; SIDE * SIDE],
+    /// Mean absolute value.
+    contrast: f32,
+}
+
+const SIDE: usize = 2 * HALF + 1;
+
+impl Patch {
+    fn at(image: &[u8], width: usize, x: usize, y: usize) -> Option<Self> {
+        let mut pixels = [0.0; SIDE * SIDE];
+        for (dy, line) in pixels.chunks_exact_mut(SIDE).enumerate() {
+            let start = (y.checked_sub(HALF)? + dy) * width + x.checked_sub(HALF)?;
+            let row = image.get(start..start + SIDE)?;
+            line.iter_mut().zip(row).for_each(|(pixel, &value)| *pixel = f32::from(value));
+        }
+        let mean = pixels.iter().sum::<f32>() / pixels.len() as f32;
+        pixels.iter_mut().for_each(|pixel| *pixel -= mean);
+        let contrast = pixels.iter().map(|pixel| pixel.abs()).sum::<f32>() / pixels.len() as f32;
+        Some(Self { pixels, contrast })
+    }
+
+    /// Changes along both axes: a place that is not repeated along an edge.
+    fn is_corner(&self) -> bool {
+        let (mut along, mut across) = (0.0, 0.0);
+        for y in 0..SIDE - 1 {
+            for x in 0..SIDE - 1 {
+                let here = self.pixels[y * SIDE + x];
+                along += (self.pixels[y * SIDE + x + 1] - here).abs();
+                across += (self.pixels[(y + 1) * SIDE + x] - here).abs();
+            }
+        }
+        along.min(across) > 4.0 * ((SIDE - 1) * (SIDE - 1)) as f32
+    }
+
+    /// Mean absolute difference, contrasts made equal.
+    fn difference(&self, other: &Self) -> f32 {
+        let gain = if self.contrast > 0.0 { (other.contrast / self.contrast).clamp(0.5, 2.0) } else { 1.0 };
+        let pairs = self.pixels.iter().zip(&other.pixels);
+        pairs.map(|(a, b)| (a * gain - b).abs()).sum::<f32>() / self.pixels.len() as f32
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{RngExt, SeedableRng};
+
+    const WIDTH: usize = 320;
+    const HEIGHT: usize = 240;
+
+    /// Random blobs, seen with a disparity of 12 px.
+    fn pair() -> (Vec<u8>, Vec<u8>) {
+        let mut random = rand_pcg::Pcg64Mcg::seed_from_u64(5);
+        let wide = WIDTH + 40;
+        let noise: Vec<u8> = (0..wide * (HEIGHT + 8)).map(|_| random.random()).collect();
+        let smooth = |x: usize, y: usize| {
+            let sum: u32 = (0..9).map(|i| u32::from(noise[(y + i / 3) * wide + x + i % 3])).sum();
+            (sum / 9) as u8
+        };
+        let view = |shift: usize| (0..WIDTH * HEIGHT).map(|i| smooth(i % WIDTH + shift, i / WIDTH)).collect();
+        (view(0), view(12))
+    }
+
+    fn verdict(left: &[u8], right: &[u8]) -> Option<PairFault> {
+        let mut check = PairCheck::new(WIDTH, HEIGHT, 64);
+        (0..6).fold(None, |_, _| check.step(left, right))
+    }
+
+    #[test]
+    fn a_sound_pair_passes_whatever_the_exposure() {
+        let (left, right) = pair();
+        assert_eq!(verdict(&left, &right), None);
+        let darker: Vec<u8> = right.iter().map(|&p| (f32::from(p) * 0.6) as u8).collect();
+        assert_eq!(verdict(&left, &darker), None);
+    }
+
+    #[test]
+    fn faults_are_named() {
+        let (left, right) = pair();
+        assert_eq!(verdict(&right, &left), Some(PairFault::Swapped));
+        let lower = [&right[WIDTH..], &right[..WIDTH]].concat();
+        assert_eq!(verdict(&left, &lower), Some(PairFault::RowsShifted));
+        let mut random = rand_pcg::Pcg64Mcg::seed_from_u64(6);
+        let covered: Vec<u8> = right.iter().map(|_| 10 + random.random_range(0..4_u8)).collect();
+        assert_eq!(verdict(&left, &covered), Some(PairFault::RightBlind));
+        assert_eq!(verdict(&[255; WIDTH * HEIGHT], &right), Some(PairFault::LeftBlind));
+        assert_eq!(verdict(&[0; WIDTH * HEIGHT], &[0; WIDTH * HEIGHT]), Some(PairFault::BothBlind));
+        let fogged: Vec<u8> = right.iter().map(|&p| 100 + p / 8).collect();
+        assert_eq!(verdict(&left, &fogged), Some(PairFault::Unequal));
+    }
+
+    #[test]
+    fn what_is_mended_is_forgotten() {
+        let (left, right) = pair();
+        let mut check = PairCheck::new(WIDTH, HEIGHT, 64);
+        let mut after = |left: &[u8], right: &[u8]| (0..6).fold(None, |_, _| check.step(left, right));
+        assert_eq!(after(&right, &left), Some(PairFault::Swapped));
+        assert_eq!(after(&left, &right), None);
+    }
+}
