@@ -13,6 +13,7 @@ use simulator::{SimulatorConfig, WorldConfig};
 use std::f64::consts::FRAC_PI_2;
 use std::fs;
 use std::path::{Path, PathBuf};
+use stereo_ingest::calibration::{Rectifier, StereoCalibration};
 use supervisor::MissionConfig;
 
 /// Why a configuration was refused.
@@ -59,8 +60,10 @@ struct FlightFile {
 pub struct VehicleConfig {
     /// What it is called.
     pub name: String,
-    /// Stereo rig.
+    /// Stereo rig, rectified.
     pub rig: StereoRig,
+    /// The raw cameras that are rectified to it; none where the images are rectified already, as the simulator's are.
+    pub calibration: Option<StereoCalibration>,
     /// Where the camera sits.
     pub mount: CameraMount,
     /// Stereo noise.
@@ -242,6 +245,12 @@ impl FlightConfig {
         impossible(bounds)
     }
 
+    /// How raw images become the rig's, where they are raw; checked by [`Self::check_vehicle`].
+    pub fn rectifier(&self) -> Option<Rectifier> {
+        let raw = self.vehicle.calibration.as_ref()?;
+        raw.rectify().ok().map(|rectification| Rectifier::new(raw, &rectification))
+    }
+
     /// Free-space evidence with a swept radius below what the slowest plan commits to: else the vehicle could creep,
     /// plan by plan, into what it has not seen.
     pub fn free_space(&self) -> memory::FreeSpaceRule {
@@ -333,6 +342,18 @@ fn impossible(bounds: Bounds) -> Result<(), ConfigError> {
 impl VehicleConfig {
     fn check(&self, bounds: &mut Bounds) {
         bounds.section("rig", |bounds| self.rig.check(bounds));
+        if let Some(raw) = &self.calibration {
+            bounds.section("calibration", |bounds| raw.check(bounds));
+            match raw.rectify() {
+                Ok(rectified) if rectified.rig == self.rig => {}
+                Ok(rectified) => bounds.require(
+                    false,
+                    "rig",
+                    format_args!("is {:?}, but the calibration's cameras become {:?}", self.rig, rectified.rig),
+                ),
+                Err(problem) => bounds.require(false, "calibration", format_args!("{problem}")),
+            }
+        }
         bounds.section("mount", |bounds| self.mount.check(bounds));
         bounds.section("noise", |bounds| self.noise.check(bounds));
         bounds.section("stereo", |bounds| self.stereo.check(bounds, &self.rig));

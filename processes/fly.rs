@@ -75,6 +75,8 @@ impl FlyArguments {
     /// The configuration with the command line's wishes, checked.
     fn configuration(&self) -> Result<FlightConfig, Box<dyn Error>> {
         let mut config = FlightConfig::load(self.config.as_deref(), self.world.as_deref())?;
+        // The simulator's images are rectified.
+        config.vehicle.calibration = None;
         config.seed = self.seed;
         config.avoidance = !self.no_avoidance;
         config.record_images = self.record_images;

@@ -16,7 +16,7 @@ use supervisor::{Mission, Outcome, Summary};
 
 /// The stereo-ingest process of a configuration.
 pub fn stereo_ingest(config: &FlightConfig) -> StereoProcess {
-    StereoProcess::new(config.vehicle.rig, config.vehicle.stereo)
+    StereoProcess::new(config.vehicle.rig, config.vehicle.stereo, config.rectifier())
 }
 
 /// The expansion process of a configuration.

@@ -20,18 +20,19 @@ use std::error::Error;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
+use stereo_ingest::calibration::StereoCalibration;
 use stereo_ingest::{Calibration, DisparityError, GroundTruth, StereoPair, save_disparity};
 use supervisor::{ATTENTION, Happening, SignalWatch, Supervision};
 
 /// Options of a replay.
 #[derive(Clone, Debug, Args)]
 pub(crate) struct ReplayArguments {
-    /// Left image: PNG, JPEG, PGM/PPM or BMP, rectified.
+    /// Left image: PNG, JPEG, PGM/PPM or BMP; rectified, or raw with a raw calibration.
     left: PathBuf,
     /// Right image, of the same size.
     right: PathBuf,
-    /// Calibration: RON (width_px, height_px, focal_px, cx_px, cy_px, baseline_m, doffs_px) or Middlebury's calib.txt.
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["focal", "baseline"])]
+    /// Calibration file or folder: a RON rig or Middlebury's calib.txt (rectified); ROS, Kalibr, EuRoC, OpenCV or RON (raw).
+    #[arg(long, value_name = "FILE|FOLDER", conflicts_with_all = ["focal", "baseline"])]
     calib: Option<PathBuf>,
     /// Focal length, px, instead of a calibration file.
     #[arg(long, value_name = "PX", requires = "baseline")]
@@ -45,7 +46,7 @@ pub(crate) struct ReplayArguments {
     /// Difference of the principal points' columns, px.
     #[arg(long, value_name = "PX", default_value_t = 0.0, allow_hyphen_values = true)]
     doffs: f64,
-    /// Disparities searched: 32, 64, 96, 128, 192 or 256.
+    /// Disparities searched: 16, 32, 64, 96, 128, 192 or 256.
     #[arg(long, value_name = "PX", default_value_t = 64)]
     max_disparity: u32,
     /// Mean horizontal difference that counts as texture, grey levels: above the camera's noise.
@@ -129,9 +130,10 @@ const PATIENCE: Duration = Duration::from_secs(60);
 
 pub(crate) fn replay(arguments: &ReplayArguments) -> Result<ExitCode, Box<dyn Error>> {
     let pair = StereoPair::load(&arguments.left, &arguments.right)?;
-    let rig = arguments.rig(&pair)?;
+    let (rig, calibration) = arguments.rig(&pair)?;
     let mut config = FlightConfig::load(arguments.config.as_deref(), None)?;
     config.vehicle.rig = rig;
+    config.vehicle.calibration = calibration;
     config.vehicle.stereo.max_disparity_px = arguments.max_disparity;
     config.vehicle.stereo.least_texture = arguments.least_texture;
     config.vehicle.expansion.hole_px = arguments.hole.unwrap_or((pair.width_px / 12).min(128));
@@ -156,13 +158,12 @@ pub(crate) fn replay(arguments: &ReplayArguments) -> Result<ExitCode, Box<dyn Er
 }
 
 impl ReplayArguments {
-    fn rig(&self, pair: &StereoPair) -> Result<StereoRig, Box<dyn Error>> {
+    /// The rectified rig, and the raw cameras that become it, if they are raw.
+    fn rig(&self, pair: &StereoPair) -> Result<(StereoRig, Option<StereoCalibration>), Box<dyn Error>> {
         if let Some(path) = &self.calib {
             return match Calibration::load(path, Some((pair.width_px, pair.height_px)))? {
-                Calibration::Rectified(rig) => Ok(rig),
-                Calibration::Raw(_) => {
-                    Err(format!("{}: is of raw images; expected a rectified pair", path.display()).into())
-                }
+                Calibration::Rectified(rig) => Ok((rig, None)),
+                Calibration::Raw(raw) => Ok((raw.rectify()?.rig, Some(*raw))),
             };
         }
         let (Some(focal_px), Some(baseline_m)) = (self.focal, self.baseline) else {
@@ -170,7 +171,7 @@ impl ReplayArguments {
         };
         let [cx_px, cy_px] = self.centre.unwrap_or([f64::from(pair.width_px) / 2.0, f64::from(pair.height_px) / 2.0]);
         let (width_px, height_px) = (pair.width_px, pair.height_px);
-        Ok(StereoRig { width_px, height_px, focal_px, cx_px, cy_px, baseline_m, doffs_px: self.doffs })
+        Ok((StereoRig { width_px, height_px, focal_px, cx_px, cy_px, baseline_m, doffs_px: self.doffs }, None))
     }
 }
 

@@ -36,7 +36,7 @@ pub(crate) struct StereoArguments {
     #[arg(long, default_value_t = 1)]
     threads: u32,
     /// Mean horizontal difference that counts as texture, grey levels: weaker areas are unmatched. 0 keeps all.
-    #[arg(long, value_name = "GREY", default_value_t = 0.0)]
+    #[arg(long, value_name = "GREY", default_value_t = 0.2)]
     least_texture: f32,
     /// How much worse than the best the second-best match must be, percent.
     #[arg(long, value_name = "PERCENT", default_value_t = 0)]
@@ -92,7 +92,7 @@ struct StereoSummary {
 }
 
 /// Times that a pair is looked at for what is wrong with it; other places each time.
-const LOOKS: usize = 40;
+const LOOKS: usize = 100;
 
 pub(crate) fn stereo(arguments: &StereoArguments) -> Result<ExitCode, Box<dyn Error>> {
     let mut pair = StereoPair::load(&arguments.left, &arguments.right)?;

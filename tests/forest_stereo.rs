@@ -98,4 +98,6 @@ fn thin_trunks_are_seen_and_nothing_is_taken_for_far() {
         tally.thin_rows,
     );
     assert!(tally.thin_rows > 1000, "{tally:?}");
+    assert!(bad < 3.0 && far < 0.9, "{bad:.2} % wrong, {far:.2} % too far");
+    assert!(missed < 42.0 && thin_far < 12.0, "{missed:.1} % missed, {thin_far:.1} % taken for far");
 }

@@ -21,7 +21,7 @@ pub struct Config {
     pub left_right_px: u32,
     /// Longest run of pixels that may keep matches the right image contradicts, if they continue both sides, px.
     pub bridge_px: u32,
-    /// Mean absolute horizontal difference below which a window is textureless, grey levels.
+    /// Mean absolute horizontal difference below which a window of either image is textureless, grey levels.
     pub least_texture: f32,
     /// Connected areas smaller than this are removed, px.
     pub speckle_area_px: u32,
@@ -62,11 +62,11 @@ impl Config {
         Self {
             max_disparity_px,
             threads: 1,
-            method: Method::SemiGlobal { paths: 3, window_px: 5, small_step_penalty: 14, large_step_penalty: 65 },
+            method: Method::SemiGlobal { paths: 3, window_px: 5, small_step_penalty: 14, large_step_penalty: 60 },
             uniqueness_percent: 0,
             left_right_px: 2,
             bridge_px: 16,
-            least_texture: 0.0,
+            least_texture: 0.2,
             speckle_area_px: 100,
             speckle_size_m: 0.0,
             speckle_step_px: 2.0,
@@ -111,8 +111,8 @@ impl Config {
         let largest = most.min(255 / window);
         // Path costs leave room for penalties and are added up, the more of them the smaller.
         let room = [255, 72, 40][paths as usize / 2];
-        let column_shift = (0..8).find(|&shift| window * (window * largest >> shift) <= 255).unwrap_or(7);
-        let full = window * (window * largest >> column_shift);
+        let column_shift = (0..8).find(|&shift| window * ((window * largest) >> shift) <= 255).unwrap_or(7);
+        let full = window * ((window * largest) >> column_shift);
         let window_shift = (0..8).find(|&shift| full >> shift <= room).unwrap_or(7);
         let unit = (window * window) as f32 / (1 << (column_shift + window_shift)) as f32;
         let highest = (255 - (full >> window_shift)) as f32;

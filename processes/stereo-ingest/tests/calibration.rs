@@ -79,7 +79,7 @@ fn folder(name: &str) -> PathBuf {
 
 fn raw(path: &Path) -> StereoCalibration {
     match Calibration::load(path, Some((640, 480))).unwrap_or_else(|error| panic!("{error}")) {
-        Calibration::Raw(raw) => raw,
+        Calibration::Raw(raw) => *raw,
         other => panic!("{other:?}"),
     }
 }
@@ -142,7 +142,7 @@ fn ros_camera_info_gives_both_cameras_their_turn() {
     let turned = format!("{c}, 0, {s}, 0, 1, 0, {}, 0, {c}", -s);
     fs::write(folder.join("right.yaml"), camera(321.0, &turned, -42.0)).expect("writable");
     let raw = raw(&folder.join("left.yaml"));
-    let (rig, _) = Calibration::Raw(raw).rectify().expect("overlap");
+    let (rig, _) = Calibration::Raw(Box::new(raw)).rectify().expect("overlap");
     assert!((rig.baseline_m - 0.1).abs() < 1e-12);
     assert_eq!((raw.left.centre_px[0], raw.right.centre_px[0]), (320.0, 321.0));
     assert!((raw.rotation[0][2] + s).abs() < 1e-12 && (raw.rotation[0][0] - c).abs() < 1e-12);

@@ -21,12 +21,12 @@ use std::path::{Path, PathBuf};
 use yaml::Format;
 
 /// What a calibration describes.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub enum Calibration {
     /// Images that are rectified already.
     Rectified(StereoRig),
     /// Raw images.
-    Raw(StereoCalibration),
+    Raw(Box<StereoCalibration>),
 }
 
 impl Calibration {
@@ -48,7 +48,7 @@ impl Calibration {
         let wrong = |problem: String| unusable(path, problem);
         let calibration = match path.extension().and_then(|extension| extension.to_str()) {
             Some("ron") => from_ron(&text).map_err(wrong)?,
-            Some("yaml" | "yml") => Self::Raw(from_yaml(path, &text, image_px)?),
+            Some("yaml" | "yml") => Self::Raw(Box::new(from_yaml(path, &text, image_px)?)),
             _ => Self::Rectified(middlebury::middlebury(&text).map_err(wrong)?),
         };
         let mut bounds = Bounds::default();
@@ -113,7 +113,7 @@ fn inside(path: &Path) -> Result<PathBuf, PairError> {
 }
 
 fn from_ron(text: &str) -> Result<Calibration, String> {
-    let raw = ron::from_str(text).map(Calibration::Raw);
+    let raw = ron::from_str(text).map(|raw| Calibration::Raw(Box::new(raw)));
     raw.or_else(|raw| {
         ron::from_str(text).map(Calibration::Rectified).map_err(|rectified| {
             if text.contains("left:") { format!("raw pair: {raw}") } else { format!("rectified rig: {rectified}") }

@@ -52,6 +52,9 @@ impl std::fmt::Debug for Matcher {
     }
 }
 
+/// A strip and what it writes of the left and the right image's features.
+type Description<'a> = (&'a mut Box<dyn Work>, (&'a mut [u8], &'a mut [u8]));
+
 /// Strips are about this high. Their number depends on the image alone, so results do not depend on the threads.
 const STRIP_ROWS: usize = 120;
 
@@ -114,7 +117,7 @@ impl Matcher {
             }
         }
         self.describe(left, right);
-        self.aggregate(left, disparity);
+        self.aggregate([left, right], disparity);
         let step = (self.config.speckle_step_px * SCALE) as u16;
         self.speckles.remove(disparity, self.least, step);
         Ok(MatchStatistics {
@@ -130,7 +133,7 @@ impl Matcher {
         let left_chunks = features.left.chunks_mut(rows * features.planes * features.left_stride);
         let right_chunks = features.right.chunks_mut(rows * features.planes * features.right_stride);
         let strides = [features.left_stride, features.right_stride];
-        let work = |(index, (strip, (left_out, right_out))): (usize, (&mut Box<dyn Work>, (&mut [u8], &mut [u8])))| {
+        let work = |(index, (strip, (left_out, right_out))): (usize, Description<'_>)| {
             strip.describe([left, right], index * rows, [left_out, right_out], strides);
         };
         match &self.threads {
@@ -143,11 +146,11 @@ impl Matcher {
         }
     }
 
-    fn aggregate(&mut self, left: &[u8], disparity: &mut [u16]) {
+    fn aggregate(&mut self, images: [&[u8]; 2], disparity: &mut [u16]) {
         let length = self.strip_rows * self.width;
         let (features, rows) = (&self.features, self.strip_rows);
         let work = |(index, (strip, out)): (usize, (&mut Box<dyn Work>, &mut [u16]))| {
-            strip.run(features, left, index * rows, out)
+            strip.run(features, images, index * rows, out)
         };
         match &self.threads {
             None => self.strips.iter_mut().zip(disparity.chunks_mut(length)).enumerate().for_each(work),

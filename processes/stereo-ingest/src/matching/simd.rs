@@ -87,9 +87,9 @@ pub(crate) trait Lanes: Copy + Send + 'static {
     /// Each byte shifted right by `bits`, 0 to 7.
     fn shift_right(self, bits: u32) -> Self;
     /// Lane i takes lane i − 1; lane 0 takes the last lane of `before`.
-    fn from_below(self, before: Self) -> Self;
+    fn take_below(self, before: Self) -> Self;
     /// Lane i takes lane i + 1; the last lane takes lane 0 of `after`.
-    fn from_above(self, after: Self) -> Self;
+    fn take_above(self, after: Self) -> Self;
     /// The smallest lane, in every lane.
     fn least(self) -> Self;
     /// Bit i is set where lane i is equal.
@@ -103,12 +103,11 @@ pub(crate) struct Portable([u8; 16]);
 
 impl Portable {
     #[inline(always)]
-    fn zip(self, other: Self, f: impl Fn(u8, u8) -> u8) -> Self {
-        let mut out = [0; 16];
-        for i in 0..16 {
-            out[i] = f(self.0[i], other.0[i]);
+    fn zip(mut self, other: Self, f: impl Fn(u8, u8) -> u8) -> Self {
+        for (a, b) in self.0.iter_mut().zip(other.0) {
+            *a = f(*a, b);
         }
-        Self(out)
+        self
     }
 }
 
@@ -166,13 +165,13 @@ impl Lanes for Portable {
         self.zip(self, |a, _| a >> bits)
     }
     #[inline(always)]
-    fn from_below(self, before: Self) -> Self {
+    fn take_below(self, before: Self) -> Self {
         let mut out = [before.0[15]; 16];
         out[1..].copy_from_slice(&self.0[..15]);
         Self(out)
     }
     #[inline(always)]
-    fn from_above(self, after: Self) -> Self {
+    fn take_above(self, after: Self) -> Self {
         let mut out = [after.0[0]; 16];
         out[..15].copy_from_slice(&self.0[1..]);
         Self(out)
@@ -301,14 +300,14 @@ mod x86 {
             }))
         }
         #[inline(always)]
-        fn from_below(self, before: Self) -> Self {
+        fn take_below(self, before: Self) -> Self {
             Self(intrinsic!({
                 let halves = _mm256_permute2x128_si256::<0x21>(before.0, self.0);
                 _mm256_alignr_epi8::<15>(self.0, halves)
             }))
         }
         #[inline(always)]
-        fn from_above(self, after: Self) -> Self {
+        fn take_above(self, after: Self) -> Self {
             Self(intrinsic!({
                 let halves = _mm256_permute2x128_si256::<0x21>(self.0, after.0);
                 _mm256_alignr_epi8::<1>(halves, self.0)
@@ -390,14 +389,14 @@ mod x86 {
             }))
         }
         #[inline(always)]
-        fn from_below(self, before: Self) -> Self {
+        fn take_below(self, before: Self) -> Self {
             Self(intrinsic!({
                 let quarters = _mm512_alignr_epi64::<6>(self.0, before.0);
                 _mm512_alignr_epi8::<15>(self.0, quarters)
             }))
         }
         #[inline(always)]
-        fn from_above(self, after: Self) -> Self {
+        fn take_above(self, after: Self) -> Self {
             Self(intrinsic!({
                 let quarters = _mm512_alignr_epi64::<2>(after.0, self.0);
                 _mm512_alignr_epi8::<1>(quarters, self.0)

@@ -253,9 +253,9 @@ impl<S: Lanes, const K: usize> Strip<S, K> {
         let width = self.columns.len();
         let mut paths = [Path::start(); N];
         for x in (0..width).rev() {
-            for index in 0..N {
-                paths[index] = penalties.advance(self.costs[index][x], paths[index]);
-                self.from_right[index][x] = paths[index].costs;
+            for (path, (costs, from_right)) in paths.iter_mut().zip(self.costs.iter().zip(&mut self.from_right)) {
+                *path = penalties.advance(costs[x], *path);
+                from_right[x] = path.costs;
             }
         }
     }
@@ -283,13 +283,13 @@ impl<S: Lanes, const K: usize> Strip<S, K> {
         let mut paths = [Path::start(); N];
         let [straight, ..] = &mut self.from_above;
         for (x, above) in straight.iter_mut().enumerate() {
-            for index in 0..N {
+            for (index, path) in paths.iter_mut().enumerate() {
                 let cost = self.costs[index][x];
-                paths[index] = penalties.advance(cost, paths[index]);
+                *path = penalties.advance(cost, *path);
                 let down = penalties.advance_relative(cost, *above);
                 *above = down.relative();
                 let (sums, out) = self.winners[index].pixel(x);
-                let all = sum(sum(paths[index].costs, down.costs), self.from_right[index][x]);
+                let all = sum(sum(path.costs, down.costs), self.from_right[index][x]);
                 *out = choose(&all, &weights, sums);
             }
         }
@@ -319,8 +319,8 @@ impl<S: Lanes> Penalties<S> {
         let mut here = [self.none; K];
         let mut smallest = self.none;
         for k in 0..K {
-            let below = before.costs[k].from_below(if k > 0 { before.costs[k - 1] } else { self.none });
-            let above = before.costs[k].from_above(if k + 1 < K { before.costs[k + 1] } else { self.none });
+            let below = before.costs[k].take_below(if k > 0 { before.costs[k - 1] } else { self.none });
+            let above = before.costs[k].take_above(if k + 1 < K { before.costs[k + 1] } else { self.none });
             let step = below.min(above).add_saturating(self.small).min(before.costs[k]);
             here[k] = cost[k].add_saturating(step.min(jump).sub(before.least));
             smallest = smallest.min(here[k]);

@@ -9,14 +9,14 @@ use super::strip::{Cost, Features, Strip, Weights};
 use super::texture::Texture;
 use super::winners::Consistency;
 use crate::Config;
-use ipc_types::disparity::TEXTURELESS;
+use ipc_types::disparity::{NO_MATCH, SCALE, TEXTURELESS};
 
 /// What a strip does.
 pub(super) trait Work: Send {
     /// Features of the strip's rows of both images, from row `first` on, laid out as [`Features`].
     fn describe(&mut self, images: [&[u8]; 2], first: usize, out: [&mut [u8]; 2], strides: [usize; 2]);
-    /// Disparities of the strip's rows, of which `image` is the left image.
-    fn run(&mut self, features: &Features, image: &[u8], first: usize, disparity: &mut [u16]);
+    /// Disparities of the strip's rows.
+    fn run(&mut self, features: &Features, images: [&[u8]; 2], first: usize, disparity: &mut [u16]);
 }
 
 /// Rows above a strip from which its paths start: after as many, what lies farther up no longer matters.
@@ -25,7 +25,10 @@ const WARM_UP_ROWS: usize = 16;
 struct Worker<S, const K: usize> {
     strip: Strip<S, K>,
     window: Window,
-    texture: Texture,
+    /// Of the left and the right image.
+    textures: [Texture; 2],
+    /// Right columns without texture, marked.
+    blank: Vec<u16>,
     cost: Cost,
     width: usize,
     rules: Consistency,
@@ -63,7 +66,8 @@ impl<S: Lanes, const K: usize> Worker<S, K> {
         Box::new(Self {
             strip,
             window,
-            texture: Texture::new(width),
+            textures: [Texture::new(width), Texture::new(width)],
+            blank: vec![0; width],
             cost: weights.cost,
             width,
             rules,
@@ -96,8 +100,8 @@ impl<S: Lanes, const K: usize> Work for Worker<S, K> {
         S::enter(Describe { worker: self, images, first, out, strides });
     }
 
-    fn run(&mut self, features: &Features, image: &[u8], first: usize, disparity: &mut [u16]) {
-        S::enter(Match { worker: self, features, image, first, disparity });
+    fn run(&mut self, features: &Features, images: [&[u8]; 2], first: usize, disparity: &mut [u16]) {
+        S::enter(Match { worker: self, features, images, first, disparity });
     }
 }
 
@@ -126,7 +130,7 @@ impl<S: Lanes, const K: usize> Kernel for Describe<'_, S, K> {
 struct Match<'a, S, const K: usize> {
     worker: &'a mut Worker<S, K>,
     features: &'a Features,
-    image: &'a [u8],
+    images: [&'a [u8]; 2],
     first: usize,
     disparity: &'a mut [u16],
 }
@@ -134,16 +138,28 @@ struct Match<'a, S, const K: usize> {
 impl<S: Lanes, const K: usize> Kernel for Match<'_, S, K> {
     #[inline(always)]
     fn run(self) {
-        let Self { worker, features, image, first, disparity } = self;
-        let Worker { strip, texture, width, rules, least_texture, .. } = worker;
+        let Self { worker, features, images, first, disparity } = self;
+        let Worker { strip, textures: [left, right], blank, width, rules, least_texture, .. } = worker;
         let width = *width;
         let rows = first..first + disparity.len() / width;
         strip.run(features, rows, WARM_UP_ROWS, |row, winners| {
             let out = &mut disparity[(row - first) * width..(row - first + 1) * width];
             winners.finish(*rules, out);
             if *least_texture > 0.0 {
-                texture.mark_blank(image, row, *least_texture, TEXTURELESS, out);
+                blank.fill(0);
+                right.mark_blank(images[1], row, *least_texture, TEXTURELESS, blank);
+                reject_blank(out, blank);
+                left.mark_blank(images[0], row, *least_texture, TEXTURELESS, out);
             }
         });
+    }
+}
+
+/// A match with a right pixel that has no texture is none: smoothness alone put it there.
+#[inline(always)]
+fn reject_blank(disparities: &mut [u16], blank: &[u16]) {
+    for (x, pixel) in disparities.iter_mut().enumerate() {
+        let right = x.saturating_sub(usize::from(*pixel / SCALE as u16));
+        *pixel = if blank[right] == TEXTURELESS { NO_MATCH } else { *pixel };
     }
 }
