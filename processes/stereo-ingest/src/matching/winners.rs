@@ -19,6 +19,9 @@ const MARGIN: usize = 256;
 /// Added to a winner that is not unique.
 pub(crate) const AMBIGUOUS: u16 = 1 << 15;
 
+/// No left pixel may match here.
+const NOBODY: u16 = u16::MAX;
+
 /// Winners of a row, and scratch.
 #[derive(Debug)]
 pub(crate) struct Winners {
@@ -64,10 +67,11 @@ impl Winners {
         (&mut self.sums[AHEAD + x * self.stride..][..self.stride], &mut self.winners[x])
     }
 
-    /// Writes the row's disparities.
+    /// Writes the row's disparities. Right columns that are not zero in `blank` have no texture: a match with one is
+    /// none, since smoothness alone put it there.
     #[inline(always)]
-    pub(crate) fn finish(&mut self, rules: Consistency, out: &mut [u16]) {
-        self.right.fill(u16::MAX);
+    pub(crate) fn finish(&mut self, rules: Consistency, blank: &[u16], out: &mut [u16]) {
+        self.right.fill(NOBODY);
         let mut start = AHEAD - 1;
         for (x, (&winner, around)) in self.winners.iter().zip(&mut self.around).enumerate() {
             let disparity = usize::from(winner & !AMBIGUOUS);
@@ -76,6 +80,9 @@ impl Winners {
             *around = u32::from_le_bytes(bytes);
             let right = &mut self.right[MARGIN + x - disparity];
             *right = (*right).min(u16::from(bytes[1]) << 8 | disparity as u16);
+        }
+        for (right, &blank) in self.right[MARGIN..].iter_mut().zip(blank) {
+            *right = if blank == 0 { *right } else { NOBODY };
         }
         let last = self.range as u16 - 1;
         for ((&winner, &around), found) in self.winners.iter().zip(&self.around).zip(&mut self.found) {
@@ -87,7 +94,8 @@ impl Winners {
         for (x, ((&winner, &found), out)) in self.winners.iter().zip(&self.found).zip(out.iter_mut()).enumerate() {
             let disparity = winner & !AMBIGUOUS;
             let preferred = self.right[MARGIN + x - usize::from(disparity)] & 0xff;
-            let sound = winner < AMBIGUOUS && u32::from(preferred.abs_diff(disparity)) <= rules.left_right_px;
+            let consistent = u32::from(preferred.abs_diff(disparity)) <= rules.left_right_px;
+            let sound = consistent && winner < AMBIGUOUS && self.right[MARGIN + x - usize::from(disparity)] != NOBODY;
             *out = if sound && usize::from(disparity) <= x { found } else { NO_MATCH };
         }
         if rules.bridge_px > 0 {
@@ -153,7 +161,7 @@ mod tests {
             }
         }
         let mut out = vec![0; pixels.len()];
-        winners.finish(RULES, &mut out);
+        winners.finish(RULES, &vec![0; pixels.len()], &mut out);
         out.into_iter().map(decode).collect()
     }
 
@@ -165,6 +173,20 @@ mod tests {
         assert!(out[..7].iter().all(Option::is_none), "no right pixel to match with");
         assert_eq!(finish(&[Pixel(15, [25, 5, 15]); 40])[20], Some(15.0), "at the end of the range");
         assert_eq!(finish(&[Pixel(0, [25, 5, 15]); 40])[20], Some(0.25), "and at infinity, which is never reported");
+    }
+
+    #[test]
+    fn a_blank_right_column_matches_nothing() {
+        let mut winners = Winners::new(60, 16, 16);
+        for (sums, out) in winners.pixels() {
+            *out = 5;
+            sums[4..7].copy_from_slice(&[90, 50, 90]);
+        }
+        let (mut blank, mut out) = (vec![0; 60], vec![0; 60]);
+        blank[30..40].fill(1);
+        winners.finish(RULES, &blank, &mut out);
+        assert!(out[35..45].iter().all(|&pixel| pixel == NO_MATCH));
+        assert!(out[5..35].iter().chain(&out[45..]).all(|&pixel| decode(pixel) == Some(5.0)));
     }
 
     #[test]

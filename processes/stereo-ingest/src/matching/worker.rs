@@ -9,7 +9,7 @@ use super::strip::{Cost, Features, Strip, Weights};
 use super::texture::Texture;
 use super::winners::Consistency;
 use crate::Config;
-use ipc_types::disparity::{NO_MATCH, SCALE, TEXTURELESS};
+use ipc_types::disparity::TEXTURELESS;
 
 /// What a strip does.
 pub(super) trait Work: Send {
@@ -144,22 +144,14 @@ impl<S: Lanes, const K: usize> Kernel for Match<'_, S, K> {
         let rows = first..first + disparity.len() / width;
         strip.run(features, rows, WARM_UP_ROWS, |row, winners| {
             let out = &mut disparity[(row - first) * width..(row - first + 1) * width];
-            winners.finish(*rules, out);
             if *least_texture > 0.0 {
                 blank.fill(0);
                 right.mark_blank(images[1], row, *least_texture, TEXTURELESS, blank);
-                reject_blank(out, blank);
+            }
+            winners.finish(*rules, blank, out);
+            if *least_texture > 0.0 {
                 left.mark_blank(images[0], row, *least_texture, TEXTURELESS, out);
             }
         });
-    }
-}
-
-/// A match with a right pixel that has no texture is none: smoothness alone put it there.
-#[inline(always)]
-fn reject_blank(disparities: &mut [u16], blank: &[u16]) {
-    for (x, pixel) in disparities.iter_mut().enumerate() {
-        let right = x.saturating_sub(usize::from(*pixel / SCALE as u16));
-        *pixel = if blank[right] == TEXTURELESS { NO_MATCH } else { *pixel };
     }
 }
