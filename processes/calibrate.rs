@@ -4,6 +4,7 @@ use crate::noise_plot::plot;
 use clap::Args;
 use indicatif::ProgressBar;
 use ipc_types::StereoRig;
+use ipc_types::bounds::Bounds;
 use serde::Serialize;
 use std::error::Error;
 use std::path::{Path, PathBuf};
@@ -173,6 +174,12 @@ fn from_boards(arguments: &CalibrateArguments, (columns, rows): (usize, usize)) 
         }
         None => calibrate(&board, &views, size)?,
     };
+    let mut bounds = Bounds::default();
+    solution.calibration.check(&mut bounds);
+    let violations = bounds.into_violations();
+    if !violations.is_empty() {
+        return Err(format!("the boards lead to impossible cameras: {}", violations.join("; ")).into());
+    }
     let rectification = solution.calibration.rectify()?;
     let (rig, turn) = (rectification.rig, rectification.left_turn());
     let (mean, largest) = vertical(&views, &solution.calibration)?;
@@ -304,7 +311,7 @@ fn print_cameras(solution: &Solution, rig: &StereoRig) {
         println!("                       {:.5?}", lens.distortion);
     }
     println!(
-        "rectified              focal length {:.2} px, centre {:.2}, {:.2} px, baseline {:.5} m",
+        "rectified              focal length {:.4} px, centre {:.4}, {:.4} px, baseline {:.6} m",
         rig.focal_px, rig.cx_px, rig.cy_px, rig.baseline_m
     );
 }
@@ -348,7 +355,7 @@ fn print(summary: &CalibrateSummary, profile: &ErrorProfile) {
 fn write_calibration(path: &Path, solution: &Solution) -> Result<(), Box<dyn Error>> {
     let text = ron::ser::to_string_pretty(&solution.calibration, ron::ser::PrettyConfig::default())?;
     let head = format!(
-        "// Raw stereo pair; solved from {} chessboards, reprojection error {:.3} px.\n",
+        "// Raw stereo pair; on {} chessboards its reprojection error is {:.3} px.\n",
         solution.views(),
         solution.rms_px
     );

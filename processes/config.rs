@@ -102,6 +102,13 @@ pub struct FlightConfig {
     pub record_images: bool,
 }
 
+/// Whether two rigs are the same but for rounding: a thousandth of a pixel, a hundredth of a millimetre.
+fn is_near(a: &StereoRig, b: &StereoRig) -> bool {
+    let pixels = [(a.focal_px, b.focal_px), (a.cx_px, b.cx_px), (a.cy_px, b.cy_px), (a.doffs_px, b.doffs_px)];
+    let same_size = (a.width_px, a.height_px) == (b.width_px, b.height_px);
+    same_size && pixels.iter().all(|(a, b)| (a - b).abs() < 1e-3) && (a.baseline_m - b.baseline_m).abs() < 1e-5
+}
+
 /// The configuration files that ship, compiled in.
 const SHIPPED: [(&str, &str); 6] = [
     ("default.ron", include_str!("../config/default.ron")),
@@ -345,7 +352,7 @@ impl VehicleConfig {
         if let Some(raw) = &self.calibration {
             bounds.section("calibration", |bounds| raw.check(bounds));
             match raw.rectify() {
-                Ok(rectified) if rectified.rig == self.rig => {}
+                Ok(rectified) if is_near(&rectified.rig, &self.rig) => {}
                 Ok(rectified) => bounds.require(
                     false,
                     "rig",

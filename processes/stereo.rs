@@ -116,7 +116,7 @@ pub(crate) fn stereo(arguments: &StereoArguments) -> Result<ExitCode, Box<dyn Er
     let truth = truth.map(|path| GroundTruth::load(path, arguments.mask.as_deref(), size.0, size.1)).transpose()?;
     let rectify_ms = rectifier.as_ref().map(|rectifier| rectify(rectifier, &mut pair));
     let fault = (0..LOOKS).fold(None, {
-        let mut check = PairCheck::new(rig.width_px as usize, rig.height_px as usize, config.max_disparity_px as usize);
+        let mut check = PairCheck::new(&rig, config.max_disparity_px);
         let (left, right) = pair.pixels.split_at(rig.pixels());
         move |_, _| check.step(left, right)
     });

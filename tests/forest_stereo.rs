@@ -66,7 +66,7 @@ impl Tally {
 }
 
 #[test]
-fn thin_trunks_are_seen_and_nothing_is_taken_for_far() {
+fn few_thin_trunks_are_taken_for_far() {
     let config = FlightConfig::load(None, None).expect("loads");
     let rig = config.vehicle.rig;
     let mut matcher = Matcher::new(&rig, config.vehicle.stereo);

@@ -2,7 +2,10 @@
 //!
 //! Blindness (covered, black, saturated) is seen in a frame's statistics. Swapped images and rows that do not match are
 //! seen by following a textured patch of each frame into the other image: votes of the last few dozen decide. Such a pair
-//! must not be matched: what would be found is not there. Rows less than 3/4 px apart pass, as many real rigs' are.
+//! must not be matched: what would be found is not there. Rows less than 3/4 px apart pass, as many real rigs' are; so do
+//! those more than 7 px apart, of which hardly anything matches. Until there are a dozen votes nothing is said.
+
+use ipc_types::StereoRig;
 
 /// What is wrong with a pair.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -11,7 +14,7 @@ pub enum PairFault {
     LeftBlind,
     /// The right image shows nothing.
     RightBlind,
-    /// Neither shows anything.
+    /// Neither shows anything: night, or nothing but bright sky. The matcher calls that textureless by itself.
     BothBlind,
     /// One image has much less texture than the other: a covered, fogged or unfocused lens.
     Unequal,
@@ -27,11 +30,16 @@ impl PairFault {
         match self {
             Self::LeftBlind => "left image is blind: covered, black or saturated",
             Self::RightBlind => "right image is blind: covered, black or saturated",
-            Self::BothBlind => "both images are blind: covered, black or saturated",
+            Self::BothBlind => "both images are black or saturated",
             Self::Unequal => "one lens is covered, fogged or out of focus",
             Self::Swapped => "left and right images are swapped",
             Self::RowsShifted => "rows of the images do not match: calibration?",
         }
+    }
+
+    /// Whether matching would only find what is not there.
+    pub const fn forbids_matching(self) -> bool {
+        !matches!(self, Self::BothBlind)
     }
 }
 
@@ -41,6 +49,8 @@ pub struct PairCheck {
     width: usize,
     height: usize,
     reach: usize,
+    /// Column shift of what is infinitely far, px.
+    infinity: f64,
     /// The next probe's place in the pattern.
     probe: usize,
     /// The last votes: column shift and row shift, px.
@@ -63,15 +73,22 @@ const PROBES: usize = 24;
 /// Half of a patch's side, px.
 const HALF: usize = 4;
 /// Rows searched above and below.
-const ROWS: i32 = 3;
+const ROWS: i32 = 8;
 /// Row shift that is reported, px.
 const ROWS_LIMIT: f32 = 0.75;
 
 impl PairCheck {
-    /// For images of a size and disparities up to `reach_px`.
-    pub fn new(width: usize, height: usize, reach_px: usize) -> Self {
-        let votes = [Vote::default(); MEMORY];
-        Self { width, height, reach: reach_px, probe: 0, votes, count: 0 }
+    /// For a rig's images and disparities up to `reach_px`.
+    pub fn new(rig: &StereoRig, reach_px: u32) -> Self {
+        Self {
+            width: rig.width_px as usize,
+            height: rig.height_px as usize,
+            reach: reach_px as usize,
+            infinity: -rig.doffs_px,
+            probe: 0,
+            votes: [Vote::default(); MEMORY],
+            count: 0,
+        }
     }
 
     /// Looks at the next pair. Row-major grey images of the size given.
@@ -155,8 +172,8 @@ impl PairCheck {
         if votes.len() < QUORUM {
             return None;
         }
-        // What lies at infinity has no sign.
-        let backwards = votes.iter().filter(|vote| vote.shift < -1).count();
+        // Beyond infinity, and a pixel more.
+        let backwards = votes.iter().filter(|vote| f64::from(vote.shift) < self.infinity - 1.5).count();
         if 2 * backwards > votes.len() {
             return Some(PairFault::Swapped);
         }
@@ -174,8 +191,6 @@ impl PairCheck {
 struct Statistics {
     /// Mean absolute difference between neighbours, grey levels.
     texture: f32,
-    /// Standard deviation, grey levels.
-    deviation: f32,
     /// Shares of nearly black and nearly white pixels.
     dark: f32,
     bright: f32,
@@ -183,27 +198,22 @@ struct Statistics {
 
 impl Statistics {
     fn of(image: &[u8], width: usize) -> Self {
-        let (mut count, mut sum, mut squares, mut gradient, mut dark, mut bright) =
-            (0_u64, 0_u64, 0_u64, 0_u64, 0_u64, 0_u64);
+        let (mut count, mut gradient, mut dark, mut bright) = (0_u64, 0_u64, 0_u64, 0_u64);
         for row in image.chunks_exact(width).step_by(8) {
             for pair in row.windows(2) {
-                let value = u64::from(pair[0]);
+                let value = pair[0];
                 count += 1;
-                sum += value;
-                squares += value * value;
                 gradient += u64::from(pair[0].abs_diff(pair[1]));
-                dark += u64::from(value < 8);
+                dark += u64::from(value < 16);
                 bright += u64::from(value > 247);
             }
         }
         let share = |part: u64| part as f32 / count.max(1) as f32;
-        let mean = share(sum);
-        let deviation = (share(squares) - mean * mean).max(0.0).sqrt();
-        Self { texture: share(gradient), deviation, dark: share(dark), bright: share(bright) }
+        Self { texture: share(gradient), dark: share(dark), bright: share(bright) }
     }
 
     fn is_blind(&self) -> bool {
-        self.dark > 0.95 || self.bright > 0.95 || self.deviation < 3.0
+        self.dark > 0.95 || self.bright > 0.95
     }
 }
 
@@ -256,6 +266,15 @@ mod tests {
     use super::*;
     use rand::{RngExt, SeedableRng};
 
+    const RIG: StereoRig = StereoRig {
+        width_px: 320,
+        height_px: 240,
+        focal_px: 200.0,
+        cx_px: 160.0,
+        cy_px: 120.0,
+        baseline_m: 0.1,
+        doffs_px: 0.0,
+    };
     const WIDTH: usize = 320;
     const HEIGHT: usize = 240;
 
@@ -273,7 +292,7 @@ mod tests {
     }
 
     fn verdict(left: &[u8], right: &[u8]) -> Option<PairFault> {
-        let mut check = PairCheck::new(WIDTH, HEIGHT, 64);
+        let mut check = PairCheck::new(&RIG, 64);
         (0..80).fold(None, |_, _| check.step(left, right))
     }
 
@@ -289,8 +308,10 @@ mod tests {
     fn faults_are_named() {
         let (left, right) = pair();
         assert_eq!(verdict(&right, &left), Some(PairFault::Swapped));
-        let lower = [&right[WIDTH..], &right[..WIDTH]].concat();
-        assert_eq!(verdict(&left, &lower), Some(PairFault::RowsShifted));
+        for rows in [1, 2, 4, 6] {
+            let lower = [&right[rows * WIDTH..], &right[..rows * WIDTH]].concat();
+            assert_eq!(verdict(&left, &lower), Some(PairFault::RowsShifted), "{rows} rows");
+        }
         let mut random = rand_pcg::Pcg64Mcg::seed_from_u64(6);
         let covered: Vec<u8> = right.iter().map(|_| 10 + random.random_range(0..4_u8)).collect();
         assert_eq!(verdict(&left, &covered), Some(PairFault::RightBlind));
@@ -301,9 +322,16 @@ mod tests {
     }
 
     #[test]
+    fn a_blank_view_is_no_fault_of_the_cameras() {
+        let mut random = rand_pcg::Pcg64Mcg::seed_from_u64(8);
+        let mut wall = || -> Vec<u8> { (0..WIDTH * HEIGHT).map(|_| 120 + random.random_range(0..4_u8)).collect() };
+        assert_eq!(verdict(&wall(), &wall()), None);
+    }
+
+    #[test]
     fn what_is_mended_is_forgotten() {
         let (left, right) = pair();
-        let mut check = PairCheck::new(WIDTH, HEIGHT, 64);
+        let mut check = PairCheck::new(&RIG, 64);
         let mut after = |left: &[u8], right: &[u8]| (0..80).fold(None, |_, _| check.step(left, right));
         assert_eq!(after(&right, &left), Some(PairFault::Swapped));
         assert_eq!(after(&left, &right), None);

@@ -1,7 +1,7 @@
 //! The stereo-ingest process: stereo frames in, raw or rectified; disparity out.
 
 use crate::calibration::Rectifier;
-use crate::{Config, Matcher, PairCheck};
+use crate::{Config, Matcher, PairCheck, PairFault};
 use ipc_types::disparity::{MASKED, NO_MATCH};
 use ipc_types::time::FlightTime;
 use ipc_types::topics::{Disparity, StereoFrames};
@@ -22,7 +22,7 @@ pub struct StereoProcess {
 impl StereoProcess {
     /// For a rig's pairs: rectified ones, or raw ones that `rectifier` makes the rig's.
     pub fn new(rig: StereoRig, config: Config, rectifier: Option<Rectifier>) -> Self {
-        let check = PairCheck::new(rig.width_px as usize, rig.height_px as usize, config.max_disparity_px as usize);
+        let check = PairCheck::new(&rig, config.max_disparity_px);
         let rectifier = rectifier.map(|rectifier| (rectifier, vec![0; 2 * rig.pixels()]));
         Self {
             matcher: Matcher::new(&rig, config),
@@ -66,7 +66,8 @@ impl Process for StereoProcess {
         let valid = FlightTime::from_nanos(header.stamp.valid_ns);
         ports.publish::<Disparity>(valid, pixels, |out, disparity| {
             (out.width_px, out.height_px) = (header.width_px, header.height_px);
-            let found = if fault.is_some() { None } else { matcher.step(left, right, disparity).ok() };
+            let forbidden = fault.is_some_and(PairFault::forbids_matching);
+            let found = if forbidden { None } else { matcher.step(left, right, disparity).ok() };
             match found {
                 Some(found) => (out.valid, out.textureless) = (found.valid as u32, found.textureless as u32),
                 // Such a pair would be matched wrong: nothing is known instead. (Sizes were checked above.)

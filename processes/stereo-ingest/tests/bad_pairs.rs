@@ -57,13 +57,13 @@ struct Outcome {
     far: f64,
 }
 
-/// As the stereo-ingest process does it: looked at until there are votes, then matched unless that is forbidden.
+/// As the stereo-ingest process does it once there are votes: matched unless that is forbidden.
 fn outcome(scene: &Scene, left: &[u8], right: &[u8]) -> Outcome {
     let rig = &scene.rig;
-    let mut check = PairCheck::new(rig.width_px as usize, rig.height_px as usize, scene.max_disparity_px as usize);
+    let mut check = PairCheck::new(rig, scene.max_disparity_px);
     let fault = (0..100).fold(None, |_, _| check.step(left, right));
     let mut disparity = vec![0; rig.pixels()];
-    if fault.is_none() {
+    if !fault.is_some_and(PairFault::forbids_matching) {
         let config =
             Config { uniqueness_percent: 5, left_right_px: 1, bridge_px: 0, ..Config::dense(scene.max_disparity_px) };
         Matcher::new(rig, config).step(left, right, &mut disparity).expect("sizes agree");
@@ -103,7 +103,8 @@ fn sound_pairs_pass() {
     for room in ["bedroom_chair", "corridor", "cycles", "desk", "kid_bedroom", "living_room", "stairs", "toy"] {
         let file = |side: &str| data.join(format!("oakd_indoor_nogt/{room}_{side}.png"));
         let pair = StereoPair::load(&file("left"), &file("right")).expect("a pair");
-        let mut check = PairCheck::new(640, 480, 128);
+        let rig = StereoRig { width_px: 640, height_px: 480, ..scenes(&data)[0].rig };
+        let mut check = PairCheck::new(&rig, 128);
         let (left, right) = pair.pixels.split_at(640 * 480);
         // Rows of these are up to 0.6 px apart, as their source says.
         let fault = (0..100).fold(None, |_, _| check.step(left, right));

@@ -264,17 +264,18 @@ struct OpenCv {
     translation: Option<Matrix>,
 }
 
-/// OpenCV's `stereo_calib`: one file, or intrinsics and extrinsics apart. They do not tell the images' size.
+/// OpenCV's `stereo_calib`: one file, or intrinsics and extrinsics apart; what the first has, the second does not change.
+/// They do not tell the images' size.
 pub(super) fn open_cv(files: &[&str], size: Option<(u32, u32)>) -> Result<StereoCalibration, String> {
     let mut all = OpenCv::default();
     for text in files {
         let file: OpenCv = parse(text)?;
-        all.left_matrix = file.left_matrix.or(all.left_matrix);
-        all.right_matrix = file.right_matrix.or(all.right_matrix);
-        all.left_distortion = file.left_distortion.or(all.left_distortion);
-        all.right_distortion = file.right_distortion.or(all.right_distortion);
-        all.rotation = file.rotation.or(all.rotation);
-        all.translation = file.translation.or(all.translation);
+        all.left_matrix = all.left_matrix.or(file.left_matrix);
+        all.right_matrix = all.right_matrix.or(file.right_matrix);
+        all.left_distortion = all.left_distortion.or(file.left_distortion);
+        all.right_distortion = all.right_distortion.or(file.right_distortion);
+        all.rotation = all.rotation.or(file.rotation);
+        all.translation = all.translation.or(file.translation);
     }
     let (width_px, height_px) =
         size.ok_or("does not tell the images' size; it can only be read together with images")?;

@@ -5,8 +5,8 @@
 //! the choice. Nothing here knows about stereo.
 //!
 //! # Safety
-//! Values of a type exist only inside [`Lanes::enter`], which checks that the machine has its instructions, or in
-//! buffers that were filled there; no other code calls its functions.
+//! Values of a type are made only after [`SimdLevel::is_available`] said that the machine has its instructions: the matcher
+//! asserts that before it builds anything of the type, and [`Lanes::enter`] before it runs a kernel.
 
 use serde::{Deserialize, Serialize};
 

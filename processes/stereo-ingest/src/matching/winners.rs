@@ -91,12 +91,14 @@ impl Winners {
             let inside = disparity > 0 && disparity < last && below != u8::MAX && above != u8::MAX;
             *found = fixed_point(disparity, below, cost, above, inside);
         }
-        for (x, ((&winner, &found), out)) in self.winners.iter().zip(&self.found).zip(out.iter_mut()).enumerate() {
+        for (x, ((&winner, found), out)) in self.winners.iter().zip(&mut self.found).zip(out.iter_mut()).enumerate() {
             let disparity = winner & !AMBIGUOUS;
             let preferred = self.right[MARGIN + x - usize::from(disparity)] & 0xff;
             let consistent = u32::from(preferred.abs_diff(disparity)) <= rules.left_right_px;
-            let sound = consistent && winner < AMBIGUOUS && self.right[MARGIN + x - usize::from(disparity)] != NOBODY;
-            *out = if sound && usize::from(disparity) <= x { found } else { NO_MATCH };
+            // Bridging must not bring it back.
+            *found = if self.right[MARGIN + x - usize::from(disparity)] == NOBODY { NO_MATCH } else { *found };
+            let sound = consistent && winner < AMBIGUOUS;
+            *out = if sound && usize::from(disparity) <= x { *found } else { NO_MATCH };
         }
         if rules.bridge_px > 0 {
             self.bridge(rules.bridge_px, out);
@@ -184,9 +186,10 @@ mod tests {
         }
         let (mut blank, mut out) = (vec![0; 60], vec![0; 60]);
         blank[30..40].fill(1);
+        blank[20..22].fill(1);
         winners.finish(RULES, &blank, &mut out);
-        assert!(out[35..45].iter().all(|&pixel| pixel == NO_MATCH));
-        assert!(out[5..35].iter().chain(&out[45..]).all(|&pixel| decode(pixel) == Some(5.0)));
+        assert!(out[35..45].iter().chain(&out[25..27]).all(|&pixel| pixel == NO_MATCH), "nor is it bridged");
+        assert!(out[5..25].iter().chain(&out[27..35]).chain(&out[45..]).all(|&pixel| decode(pixel) == Some(5.0)));
     }
 
     #[test]
