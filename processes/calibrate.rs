@@ -10,7 +10,7 @@ use std::error::Error;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use stereo_ingest::calibration::{
-    Board, BoardFinder, BoardView, Rectifier, Solution, StereoCalibration, calibrate, check,
+    Board, BoardFinder, BoardView, Rectification, Rectifier, Solution, StereoCalibration, calibrate, check,
 };
 use stereo_ingest::{Calibration, Config, ErrorProfile, GaussianFit, Matcher, StereoPair, load_disparity};
 
@@ -182,7 +182,7 @@ fn from_boards(arguments: &CalibrateArguments, (columns, rows): (usize, usize)) 
     }
     let rectification = solution.calibration.rectify()?;
     let (rig, turn) = (rectification.rig, rectification.left_turn());
-    let (mean, largest) = vertical(&views, &solution.calibration)?;
+    let (mean, largest) = vertical(&views, &solution.calibration, &rectification);
     let figures = CameraFigures {
         boards: views.len(),
         rms_px: solution.rms_px,
@@ -253,8 +253,7 @@ fn find_boards(
 }
 
 /// Mean and largest vertical distance of corresponding corners after rectification, px.
-fn vertical(views: &[BoardView], calibration: &StereoCalibration) -> Result<(f64, f64), Box<dyn Error>> {
-    let rectification = calibration.rectify()?;
+fn vertical(views: &[BoardView], calibration: &StereoCalibration, rectification: &Rectification) -> (f64, f64) {
     let (mut sum, mut largest, mut count) = (0.0, 0.0_f64, 0);
     for (left, right) in views.iter().flat_map(|view| view.left.iter().zip(&view.right)) {
         let rows = (rectification.rectified(calibration, 0, *left), rectification.rectified(calibration, 1, *right));
@@ -263,7 +262,7 @@ fn vertical(views: &[BoardView], calibration: &StereoCalibration) -> Result<(f64
             (sum, largest, count) = (sum + off, largest.max(off), count + 1);
         }
     }
-    Ok((sum / f64::from(count.max(1)), largest))
+    (sum / f64::from(count.max(1)), largest)
 }
 
 /// Rectified pairs with true disparities.

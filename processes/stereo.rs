@@ -143,7 +143,7 @@ pub(crate) fn stereo(arguments: &StereoArguments) -> Result<ExitCode, Box<dyn Er
         height_px: rig.height_px,
         max_disparity_px: config.max_disparity_px,
         threads: config.threads,
-        valid_percent: percent(found.valid),
+        valid_percent: percent(disparity.iter().filter(|&&pixel| is_valid(pixel)).count()),
         textureless_percent: percent(found.textureless),
         match_ms: times[times.len() / 2],
         least_match_ms: times[0],

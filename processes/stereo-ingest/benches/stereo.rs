@@ -1,10 +1,10 @@
-//! Cost of one match on a synthetic pair, single thread.
+//! Cost of one match and of one look at whether the pair is sound, on a synthetic pair, single thread.
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use ipc_types::StereoRig;
 use rand::{RngExt, SeedableRng};
 use std::hint::black_box;
-use stereo_ingest::{Config, Matcher};
+use stereo_ingest::{Config, Matcher, PairCheck};
 
 fn bench(criterion: &mut Criterion) {
     let mut random = rand_pcg::Pcg64Mcg::seed_from_u64(1);
@@ -25,6 +25,10 @@ fn bench(criterion: &mut Criterion) {
         let mut disparity = vec![0; width * height];
         criterion.bench_function(&format!("stereo {width}x{height}x64"), |bencher| {
             bencher.iter(|| matcher.step(black_box(&left), black_box(&right), black_box(&mut disparity)));
+        });
+        let mut check = PairCheck::new(&rig, 64);
+        criterion.bench_function(&format!("pair check {width}x{height}x64"), |bencher| {
+            bencher.iter(|| check.step(black_box(&left), black_box(&right)));
         });
     }
 }

@@ -91,7 +91,7 @@ impl PairCheck {
         }
     }
 
-    /// Looks at the next pair. Row-major grey images of the size given.
+    /// Looks at the next pair: row-major grey images of the rig's size.
     pub fn step(&mut self, left: &[u8], right: &[u8]) -> Option<PairFault> {
         let (a, b) = (Statistics::of(left, self.width), Statistics::of(right, self.width));
         match (a.is_blind(), b.is_blind()) {

@@ -1,19 +1,11 @@
 //! What becomes of pairs that something is wrong with: named where that can be seen, never a confident wrong image.
 
+mod common;
+
+use common::data;
 use ipc_types::StereoRig;
 use ipc_types::disparity::decode;
-use std::path::PathBuf;
 use stereo_ingest::{Config, Matcher, PairCheck, PairFault, StereoPair, load_disparity, load_mask};
-
-fn data() -> Option<PathBuf> {
-    let fallback = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
-    let folder = std::env::var_os("SPARROWHAWK_DATA").map_or(fallback, PathBuf::from);
-    if !folder.is_dir() {
-        eprintln!("SKIPPED: no test data in {}; set SPARROWHAWK_DATA", folder.display());
-        return None;
-    }
-    Some(folder)
-}
 
 const PAIRS: [(&str, &str, &str, u32); 5] = [
     ("mid2001_tsukuba", "imL2l.bmp", "imL2.bmp", 32),

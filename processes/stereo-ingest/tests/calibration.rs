@@ -1,5 +1,8 @@
 //! Calibration files of every kind say the same; real ones rectify real images.
 
+mod common;
+
+use common::data;
 use std::fs;
 use std::path::{Path, PathBuf};
 use stereo_ingest::calibration::{Distortion, StereoCalibration};
@@ -230,12 +233,8 @@ fn vertical_residuals(left: &[u8], right: &[u8], width: usize, height: usize) ->
 
 #[test]
 fn rectified_euroc_frames_lie_row_by_row() {
-    let fallback = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
-    let data = std::env::var_os("SPARROWHAWK_DATA").map_or(fallback, PathBuf::from).join("euroc_v101_static/mav0");
-    if !data.is_dir() {
-        eprintln!("SKIPPED: no test data in {}; set SPARROWHAWK_DATA", data.display());
-        return;
-    }
+    let Some(data) = data() else { return };
+    let data = data.join("euroc_v101_static/mav0");
     let calibration = Calibration::load(&data, Some((752, 480))).expect("the data set's own");
     let (rig, rectifier) = calibration.rectify().expect("overlap");
     let rectifier = rectifier.expect("raw images");

@@ -1,18 +1,10 @@
 //! The matcher on real pairs with ground truth, which nobody here made. Skips, loudly, where they are absent.
 
-use ipc_types::StereoRig;
-use std::path::PathBuf;
-use stereo_ingest::{Config, GroundTruth, Matcher, StereoPair};
+mod common;
 
-fn data() -> Option<PathBuf> {
-    let fallback = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
-    let folder = std::env::var_os("SPARROWHAWK_DATA").map_or(fallback, PathBuf::from);
-    if !folder.is_dir() {
-        eprintln!("SKIPPED: no test data in {}; set SPARROWHAWK_DATA", folder.display());
-        return None;
-    }
-    Some(folder)
-}
+use common::data;
+use ipc_types::StereoRig;
+use stereo_ingest::{Config, GroundTruth, Matcher, StereoPair};
 
 /// Folder, left, right, disparities, largest tolerated share (percent) of pixels unmatched or off by more than 2 px.
 const PAIRS: [(&str, &str, &str, u32, f64); 6] = [

@@ -50,7 +50,7 @@ impl Rectifier {
         map.outside.iter().for_each(|&pixel| rectified[pixel as usize] = 0);
     }
 
-    /// Pixels of the rectified left image that nothing is known of, because a camera does not see them.
+    /// Pixels of the rectified left image that the left camera does not see.
     pub fn outside(&self) -> &[u32] {
         &self.maps[0].outside
     }

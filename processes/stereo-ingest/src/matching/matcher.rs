@@ -98,10 +98,8 @@ impl Matcher {
                 side_baselines: config.speckle_size_m / rig.baseline_m as f32,
                 doffs_px: rig.doffs_px as f32,
             },
-            threads: (threads > 1).then(|| {
-                let pool = rayon::ThreadPoolBuilder::new().num_threads(threads);
-                pool.build().unwrap_or_else(|error| panic!("cannot start {threads} threads: {error}"))
-            }),
+            // Where the system starts no more threads, one does all: later, and with the same result.
+            threads: (threads > 1).then(|| rayon::ThreadPoolBuilder::new().num_threads(threads).build().ok()).flatten(),
         }
     }
 
@@ -130,18 +128,20 @@ impl Matcher {
     fn describe(&mut self, left: &[u8], right: &[u8]) {
         let Self { features, strips, strip_rows, .. } = self;
         let rows = *strip_rows;
-        let left_chunks = features.left.chunks_mut(rows * features.planes * features.left_stride);
-        let right_chunks = features.right.chunks_mut(rows * features.planes * features.right_stride);
         let strides = [features.left_stride, features.right_stride];
+        let [left_rows, right_rows] = strides.map(|stride| rows * features.planes * stride);
+        let (left_out, right_out) = (&mut features.left[..], &mut features.right[..]);
         let work = |(index, (strip, (left_out, right_out))): (usize, Description<'_>)| {
             strip.describe([left, right], index * rows, [left_out, right_out], strides);
         };
         match &self.threads {
-            None => strips.iter_mut().zip(left_chunks.zip(right_chunks)).enumerate().for_each(work),
+            None => {
+                let out = left_out.chunks_mut(left_rows).zip(right_out.chunks_mut(right_rows));
+                strips.iter_mut().zip(out).enumerate().for_each(work);
+            }
             Some(pool) => {
-                let left_chunks = features.left.par_chunks_mut(rows * features.planes * strides[0]);
-                let right_chunks = features.right.par_chunks_mut(rows * features.planes * strides[1]);
-                pool.install(|| strips.par_iter_mut().zip(left_chunks.zip(right_chunks)).enumerate().for_each(work));
+                let out = left_out.par_chunks_mut(left_rows).zip(right_out.par_chunks_mut(right_rows));
+                pool.install(|| strips.par_iter_mut().zip(out).enumerate().for_each(work));
             }
         }
     }

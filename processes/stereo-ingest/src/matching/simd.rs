@@ -8,11 +8,8 @@
 //! Values of a type are made only after [`SimdLevel::is_available`] said that the machine has its instructions: the matcher
 //! asserts that before it builds anything of the type, and [`Lanes::enter`] before it runs a kernel.
 
-use serde::{Deserialize, Serialize};
-
 /// An instruction set that the matcher can use.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SimdLevel {
     /// Plain Rust, 16 bytes at a time: SSE2 on x86-64, NEON on Arm.
     Portable,
@@ -205,8 +202,8 @@ mod x86 {
     use super::{Kernel, Lanes, SimdLevel};
     use std::arch::x86_64::*;
 
-    /// Calls intrinsics. Contract: the enclosing method runs inside [`Lanes::enter`] of its type, whose caller has
-    /// checked that the machine has the instructions; loads and stores first take a slice of the vector's length.
+    /// Calls intrinsics. Contract: a value of the type exists, so the machine was asked whether it has the instructions
+    /// (see the module's safety section); loads and stores first take a slice of the vector's length.
     macro_rules! intrinsic {
         ($call:expr) => {
             // SAFETY: see the macro's contract.

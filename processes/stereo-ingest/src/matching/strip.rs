@@ -40,7 +40,7 @@ pub(crate) struct Weights {
     pub(crate) uniqueness_percent: u32,
 }
 
-/// Both images' features, a plane after the other; see [`Features::left`] for the layout.
+/// Both images' features.
 #[derive(Debug)]
 pub(crate) struct Features {
     pub(crate) width: usize,
@@ -196,7 +196,7 @@ impl<S: Lanes, const K: usize> Strip<S, K> {
         let (columns, beyond) = (&self.columns[..], self.beyond);
         let mut sums = [S::splat(0); K];
         for cell in 0..window {
-            // The window around the column left of the first one: all its cells lie at the border.
+            // The window around the column left of the first one.
             let column = columns[cell.saturating_sub(half + 1)];
             for k in 0..K {
                 sums[k] = sums[k].add(column[k].shift_right(column_shift));
@@ -234,7 +234,8 @@ impl<S: Lanes, const K: usize> Strip<S, K> {
     fn decide<const N: usize>(&mut self) {
         if self.weights.paths == 0 {
             for (costs, winners) in self.costs[..N].iter().zip(&mut self.winners) {
-                for (cost, (sums, out)) in costs.iter().zip(winners.pixels()) {
+                for (x, cost) in costs.iter().enumerate() {
+                    let (sums, out) = winners.pixel(x);
                     *out = choose(cost, &self.weights, sums);
                 }
             }

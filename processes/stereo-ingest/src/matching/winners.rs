@@ -13,7 +13,7 @@ pub(crate) struct Consistency {
 
 /// Largest difference between a bridged pixel and the ends of its run, fixed point.
 const BRIDGE_STEP: u16 = 2 * SCALE as u16;
-/// More than any disparity, px: columns left of the image that matches outside of it fall into.
+/// Columns left of the image, for matches outside of it: no disparity is larger, px.
 const MARGIN: usize = 256;
 
 /// Added to a winner that is not unique.
@@ -53,12 +53,6 @@ impl Winners {
             around: vec![0; width],
             found: vec![NO_MATCH; width],
         }
-    }
-
-    /// By column: where to put its sums and its winner.
-    #[inline(always)]
-    pub(crate) fn pixels(&mut self) -> impl Iterator<Item = (&mut [u8], &mut u16)> {
-        self.sums[AHEAD..].chunks_exact_mut(self.stride).zip(&mut self.winners)
     }
 
     /// Where to put a column's sums and its winner.
@@ -154,7 +148,8 @@ mod tests {
 
     fn finish(pixels: &[Pixel]) -> Vec<Option<f32>> {
         let mut winners = Winners::new(pixels.len(), 16, 16);
-        for (Pixel(winner, costs), (sums, out)) in pixels.iter().zip(winners.pixels()) {
+        for (x, Pixel(winner, costs)) in pixels.iter().enumerate() {
+            let (sums, out) = winners.pixel(x);
             *out = *winner;
             let disparity = usize::from(winner & !AMBIGUOUS);
             for (sum, cost) in sums[disparity.saturating_sub(1)..].iter_mut().zip(&costs[usize::from(disparity == 0)..])
@@ -180,7 +175,8 @@ mod tests {
     #[test]
     fn a_blank_right_column_matches_nothing() {
         let mut winners = Winners::new(60, 16, 16);
-        for (sums, out) in winners.pixels() {
+        for x in 0..60 {
+            let (sums, out) = winners.pixel(x);
             *out = 5;
             sums[4..7].copy_from_slice(&[90, 50, 90]);
         }
