@@ -2,6 +2,7 @@
 
 use crate::config::FlightConfig;
 use crate::graph;
+use crate::replay_input::{self, DEFAULT_RATE_HZ};
 use crate::run_files::{CONFIG, LOG, VERSION};
 use clap::Args;
 use ipc_types::ProcessId;
@@ -12,7 +13,7 @@ use simulator::SimulatorProcess;
 use std::error::Error;
 use std::path::PathBuf;
 use std::time::Duration;
-use stereo_ingest::{PairPlayer, StereoPair};
+use stereo_ingest::{CameraProcess, Player, Sequence};
 
 /// What a child needs to know.
 #[derive(Clone, Debug, Args)]
@@ -32,12 +33,12 @@ pub struct ChildArguments {
     /// Which restart this is.
     #[arg(long, default_value_t = 0)]
     incarnation: u32,
-    /// Left image, for the player.
+    /// What the player shows: files or folders; nothing for the vehicle alone.
     #[arg(long)]
-    left: Option<PathBuf>,
-    /// Right image, for the player.
-    #[arg(long)]
-    right: Option<PathBuf>,
+    play: Vec<PathBuf>,
+    /// Frames per second, where the files do not say when they were exposed.
+    #[arg(long, default_value_t = DEFAULT_RATE_HZ)]
+    rate: f64,
 }
 
 fn parse_process(name: &str) -> Result<ProcessId, String> {
@@ -64,10 +65,17 @@ pub fn run(arguments: &ChildArguments) -> Result<(), Box<dyn Error>> {
         ProcessId::Controller => drive(graph::controller(&config), &run, rig, options)?,
         ProcessId::Simulator => drive(SimulatorProcess::threaded(graph::simulator(&config)), &run, rig, options)?,
         ProcessId::Player => {
-            let (Some(left), Some(right)) = (&arguments.left, &arguments.right) else {
-                return Err("the player needs --left and --right".into());
+            let content = replay_input::content(&config.vehicle.source);
+            let sequence = match arguments.play.is_empty() {
+                true => None,
+                false => Some(Sequence::open(&arguments.play, content, arguments.rate)?),
             };
-            drive(PairPlayer::new(StereoPair::load(left, right)?), &run, rig, options)?;
+            let awaited = config.graph.digesting().map(|member| member.process).collect();
+            drive(Player::new(sequence, (rig.width_px, rig.height_px), awaited), &run, rig, options)?;
+        }
+        ProcessId::Camera => {
+            let camera = config.vehicle.camera.clone().ok_or("the vehicle has no camera")?;
+            drive(CameraProcess::open(camera, &config.vehicle.source, rig)?, &run, rig, options)?;
         }
         ProcessId::Recorder => {
             let snapshot = config.snapshot();

@@ -31,8 +31,8 @@ struct CommandLine {
 enum Command {
     /// Fly in the simulator. Exit status 0 only when the goal was reached without a collision.
     Fly(FlyArguments),
-    /// Feed the graph with a real stereo pair: disparity, configuration space and occupancy.
-    Replay(ReplayArguments),
+    /// Feed the graph with real images, from files or live: disparity, configuration space and occupancy.
+    Replay(Box<ReplayArguments>),
     /// Match one pair of images: disparity as a file, error figures, time.
     Stereo(StereoArguments),
     /// Calibrate a stereo pair from chessboards, or check a calibration; measure the disparity error.
@@ -78,7 +78,7 @@ fn check(arguments: &CheckArguments) -> Result<ExitCode, Box<dyn Error>> {
         arguments.config.as_ref().map_or("config/default.ron".into(), |path| path.display().to_string())
     );
     println!("vehicle                {}, inflated by {} m", vehicle.name, vehicle.expansion.radius_m);
-    println!("stereo good for        {:.1} m (standard deviation of depth below the radius)", config.sensing_range_m());
+    println!("sensor good for        {:.1} m (standard deviation of depth below the radius)", config.sensing_range_m());
     println!(
         "stopping distance      {:.1} m from {} m/s, latency included",
         vehicle.planner.stopping_distance_m(config.mission.cruise_speed_mps),

@@ -64,9 +64,13 @@ pub struct VehicleConfig {
     pub rig: StereoRig,
     /// The raw cameras that are rectified to it; none where the images are rectified already, as the simulator's are.
     pub calibration: Option<StereoCalibration>,
+    /// What the sensor delivers.
+    pub source: stereo_ingest::Source,
+    /// The camera that delivers it; none in the simulator, and where images come from files.
+    pub camera: Option<stereo_ingest::CameraConfig>,
     /// Where the camera sits.
     pub mount: CameraMount,
-    /// Stereo noise.
+    /// Its noise.
     pub noise: NoiseModel,
     /// Matcher.
     pub stereo: stereo_ingest::Config,
@@ -266,11 +270,16 @@ impl FlightConfig {
         memory::FreeSpaceRule { swept_radius_m: rule.swept_radius_m.min(0.9 * least_m), ..rule }
     }
 
-    /// Range at which the stereo noise is still small against the vehicle: σ_z = z²·σ/(f·b) = radius, m.
+    /// Range at which the noise is still small against the vehicle: σ_z = z²·σ/(f·b) + σ_m = radius, m.
     pub fn sensing_range_m(&self) -> f64 {
         let vehicle = &self.vehicle;
         let radius_m = f64::from(vehicle.expansion.radius_m);
-        (radius_m * vehicle.rig.focal_baseline_px_m() / f64::from(vehicle.noise.sigma_px)).sqrt()
+        let (sigma_px, sigma_m) = (f64::from(vehicle.noise.sigma_px), f64::from(vehicle.noise.sigma_m));
+        let range_m = ((radius_m - sigma_m).max(0.0) * vehicle.rig.focal_baseline_px_m() / sigma_px).sqrt();
+        match vehicle.source {
+            stereo_ingest::Source::Depth { farthest_m, .. } => range_m.min(farthest_m),
+            _ => range_m,
+        }
     }
 
     fn check_stopping(&self, bounds: &mut Bounds) {
@@ -280,7 +289,9 @@ impl FlightConfig {
         bounds.require(
             stopping_m < range_m,
             "mission.cruise_speed_mps",
-            format_args!("is {speed_mps} m/s: stopping takes {stopping_m:.1} m, but stereo is good for {range_m:.1} m"),
+            format_args!(
+                "is {speed_mps} m/s: stopping takes {stopping_m:.1} m, but the sensor is good for {range_m:.1} m"
+            ),
         );
         // Level acceleration at the candidates' limit against drag at cruise speed.
         let pull_mps2 = vehicle.planner.acceleration_mps2 + vehicle.simulator.vehicle.drag_hz * speed_mps;
@@ -362,7 +373,15 @@ impl VehicleConfig {
             }
         }
         bounds.section("mount", |bounds| self.mount.check(bounds));
-        bounds.section("noise", |bounds| self.noise.check(bounds));
+        bounds.section("source", |bounds| self.source.check(bounds));
+        bounds.section("camera", |bounds| self.camera.iter().for_each(|camera| camera.check(bounds)));
+        let is_raw_depth = self.calibration.is_some() && self.source != stereo_ingest::Source::Stereo;
+        bounds.require(
+            !is_raw_depth,
+            "calibration",
+            format_args!("is for stereo pairs, but the source is {:?}; expected None", self.source),
+        );
+        bounds.section("noise", |bounds| self.noise.check(bounds, &self.rig));
         bounds.section("stereo", |bounds| self.stereo.check(bounds, &self.rig));
         bounds.section("expansion", |bounds| self.expansion.check(bounds));
         bounds.section("memory", |bounds| self.memory.check(bounds));

@@ -81,14 +81,18 @@ fn line() -> ProgressBar {
 
 /// The first process that is not ready, and what it waits for.
 pub(crate) fn why_not_ready(children: &[ChildStatus]) -> String {
-    let waiting = children.iter().find_map(|child| match child.health {
+    children.iter().find_map(complaint).unwrap_or_else(|| "waiting for the first plan".to_owned())
+}
+
+/// What is wrong with a process, or what it waits for.
+pub(crate) fn complaint(child: &ChildStatus) -> Option<String> {
+    match child.health {
         None => Some(format!("{} is starting", child.process)),
         Some(health) if health.level != HealthLevel::Ok as u32 => {
             Some(format!("{} is {}", child.process, health.note.to_string_lossy()))
         }
         Some(_) => None,
-    });
-    waiting.unwrap_or_else(|| "waiting for the first plan".to_owned())
+    }
 }
 
 fn process_line(child: &ChildStatus) -> String {

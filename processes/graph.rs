@@ -1,8 +1,8 @@
 //! From configuration to processes.
 
-use crate::config::FlightConfig;
+use crate::config::{FlightConfig, VehicleConfig};
 use controller::ControllerProcess;
-use expansion::ExpansionProcess;
+use expansion::{ExpansionProcess, Reach};
 use memory::MemoryProcess;
 use planner::PlannerProcess;
 use recorder::RecorderProcess;
@@ -11,18 +11,28 @@ use simulator::{SimulatorSetup, World};
 use std::cell::RefCell;
 use std::rc::Rc;
 use std::sync::Arc;
-use stereo_ingest::StereoProcess;
+use stereo_ingest::{Source, StereoProcess};
 use supervisor::{Mission, Outcome, Summary};
 
 /// The stereo-ingest process of a configuration.
 pub fn stereo_ingest(config: &FlightConfig) -> StereoProcess {
-    StereoProcess::new(config.vehicle.rig, config.vehicle.stereo, config.rectifier())
+    let vehicle = &config.vehicle;
+    StereoProcess::new(vehicle.rig, &vehicle.source, vehicle.stereo, config.rectifier())
+}
+
+/// How near the vehicle's sensor measures.
+pub fn reach(vehicle: &VehicleConfig) -> Reach {
+    match vehicle.source {
+        Source::Stereo => Reach::Matched { most_px: vehicle.stereo.max_disparity_px as f32 },
+        Source::Depth { nearest_m, .. } => Reach::Ranged { nearest_m },
+        Source::Disparity { most_px, .. } => Reach::Matched { most_px: most_px as f32 },
+    }
 }
 
 /// The expansion process of a configuration.
 pub fn expansion(config: &FlightConfig) -> ExpansionProcess {
     let vehicle = &config.vehicle;
-    ExpansionProcess::new(vehicle.rig, &vehicle.noise, vehicle.stereo.max_disparity_px, vehicle.expansion)
+    ExpansionProcess::new(vehicle.rig, &vehicle.noise, reach(vehicle), vehicle.expansion)
 }
 
 /// The memory process of a configuration.

@@ -44,6 +44,12 @@ const NEEDED: [ProcessId; 6] = [
 ];
 
 impl GraphConfig {
+    /// The processes that make something of a frame, whoever delivers it: without world and vehicle, and those who fly it.
+    pub(crate) fn digesting(&self) -> impl Iterator<Item = Member> {
+        let flies = |process| matches!(process, ProcessId::Simulator | ProcessId::Planner | ProcessId::Controller);
+        self.processes.iter().copied().filter(move |member| !flies(member.process))
+    }
+
     pub(crate) fn check(&self, bounds: &mut Bounds) {
         bounds.range("lease_s", self.lease_s, 0.0..=60.0);
         bounds.section("restart", |bounds| self.restart.check(bounds));
@@ -56,7 +62,7 @@ impl GraphConfig {
             for member in &self.processes {
                 let name = member.process.name();
                 bounds.require(times(member.process) == 1, name, "is listed more than once");
-                let is_child = !matches!(member.process, ProcessId::Supervisor | ProcessId::Player);
+                let is_child = !matches!(member.process, ProcessId::Supervisor | ProcessId::Player | ProcessId::Camera);
                 bounds.require(is_child, name, "is not a process that a flight starts");
                 // A world that begins anew under a vehicle in flight is another world.
                 let is_world = member.process == ProcessId::Simulator;

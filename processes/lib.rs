@@ -23,6 +23,8 @@ pub mod graph;
 pub mod graph_config;
 mod noise_plot;
 mod replay;
+mod replay_input;
+mod replay_report;
 mod run_files;
 mod stereo;
 

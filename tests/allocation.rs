@@ -63,7 +63,7 @@ fn matching_and_expanding_allocate_nothing() {
     let right: Vec<u8> =
         (0..pixels).map(|index| texture((index + 12).min(index / width * width + width - 1))).collect();
     let mut matcher = Matcher::new(&rig, vehicle.stereo);
-    let mut expander = Expander::new(rig, &vehicle.noise, vehicle.stereo.max_disparity_px, vehicle.expansion);
+    let mut expander = Expander::new(rig, &vehicle.noise, sparrowhawk::graph::reach(&vehicle), vehicle.expansion);
     let (mut disparity, mut planes) = (vec![0; pixels], vec![0; 3 * pixels]);
     let mut step = || {
         matcher.step(&left, &right, &mut disparity).expect("sizes agree");

@@ -1,17 +1,22 @@
-//! The stereo noise model: Gaussian matching error and the λ schedule (DROAN, sections 3.1.2–3.1.5).
+//! The noise model: Gaussian error of disparity or depth, and the λ schedule (DROAN, sections 3.1.2–3.1.5).
 
 use crate::bounds::Bounds;
+use crate::rig::StereoRig;
 use serde::{Deserialize, Serialize};
 
-/// Matching error and how many of its standard deviations an obstacle is padded by.
+/// Error of the sensor, and how many standard deviations an obstacle is padded by.
 ///
+/// Triangulation (a stereo pair, structured light) errs by as many pixels of disparity at every distance; time of flight
+/// and steps of a millimetre by as much depth. Either may be zero, and both add up: σ(d) = `sigma_px` + `sigma_m`·d²/(f·b).
 /// Disparities here are f·b/z: where the principal points differ, the difference (doffs) is added to what is measured.
 /// λ is `lambda_near` at and above `near_px` of disparity, `lambda_far` at and below `far_px`, linear between.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct NoiseModel {
-    /// Standard deviation of the matching error σ, px.
+    /// Standard deviation of disparity, px.
     pub sigma_px: f32,
+    /// Standard deviation of depth, m, besides the one that `sigma_px` gives it.
+    pub sigma_m: f32,
     /// Multiplier near the vehicle.
     pub lambda_near: f32,
     /// Multiplier at long range.
@@ -24,20 +29,23 @@ pub struct NoiseModel {
 
 impl NoiseModel {
     /// Reports values out of range, and a ramp so short that d − λσ would not rise with d.
-    pub fn check(&self, bounds: &mut Bounds) {
+    pub fn check(&self, bounds: &mut Bounds, rig: &StereoRig) {
         bounds.range("sigma_px", self.sigma_px, 0.01..=5.0);
+        bounds.range("sigma_m", self.sigma_m, 0.0..=0.1);
         bounds.range("lambda_near", self.lambda_near, 0.0..=6.0);
         bounds.range("lambda_far", self.lambda_far, 0.0..=6.0);
         bounds.range("far_px", self.far_px, 0.0..=500.0);
         bounds.range("near_px", self.near_px, 0.0..=1000.0);
         let ramp_px = self.near_px - self.far_px;
-        let least_px = (self.lambda_near - self.lambda_far).abs() * self.sigma_px;
+        let focal_baseline = rig.focal_baseline_px_m() as f32;
+        let sigma_px = self.at(self.near_px, focal_baseline);
+        // What σ itself rises along the ramp, at most a share of 2/3 (see `margin_px`).
+        let steepest = 2.0 * self.lambda_near.max(self.lambda_far) * (sigma_px - self.sigma_px) / self.near_px;
+        let least_px = (self.lambda_near - self.lambda_far).abs() * sigma_px / (1.0 - steepest.min(2.0 / 3.0));
         bounds.require(
             ramp_px > least_px,
             "near_px",
-            format_args!(
-                "- far_px is {ramp_px} px, must exceed |lambda_near - lambda_far|·sigma = {least_px} px so that d - lambda·sigma rises with d"
-            ),
+            format_args!("- far_px is {ramp_px} px, must exceed {least_px} px so that d - lambda·sigma rises with d"),
         );
     }
 
@@ -48,16 +56,26 @@ impl NoiseModel {
         self.lambda_far + (self.lambda_near - self.lambda_far) * share
     }
 
-    /// λσ at a disparity, px: the half-width of the interval in which the surface may lie.
+    /// σ at a disparity, px, for a camera's f·b (px·m).
     #[inline]
-    pub fn margin_px(&self, disparity_px: f32) -> f32 {
-        self.lambda(disparity_px) * self.sigma_px
+    pub fn at(&self, disparity_px: f32, focal_baseline: f32) -> f32 {
+        self.sigma_px + self.sigma_m * disparity_px * disparity_px / focal_baseline
+    }
+
+    /// λσ at a disparity, px: the half-width of the interval in which the surface may lie. What `sigma_m` adds is at most
+    /// a third of the disparity: nearer than three such errors the depth is not known to better than by half.
+    #[inline]
+    pub fn margin_px(&self, disparity_px: f32, focal_baseline: f32) -> f32 {
+        let lambda = self.lambda(disparity_px);
+        let of_depth = lambda * (self.at(disparity_px, focal_baseline) - self.sigma_px);
+        lambda * self.sigma_px + of_depth.min(disparity_px / 3.0)
     }
 
     /// Vote of a disparity, C/(1−C) with C = (d−σ)/d (eq. 3.9): (d−σ)/σ, clamped at 0 where the formula changes sign.
     #[inline]
-    pub fn vote(&self, disparity_px: f32) -> f32 {
-        ((disparity_px - self.sigma_px) / self.sigma_px).max(0.0)
+    pub fn vote(&self, disparity_px: f32, focal_baseline: f32) -> f32 {
+        let sigma_px = self.at(disparity_px, focal_baseline);
+        ((disparity_px - sigma_px) / sigma_px).max(0.0)
     }
 }
 
@@ -66,24 +84,49 @@ mod tests {
     use super::*;
 
     const NOISE: NoiseModel =
-        NoiseModel { sigma_px: 0.5, lambda_near: 3.0, lambda_far: 1.0, near_px: 8.0, far_px: 3.0 };
+        NoiseModel { sigma_px: 0.5, sigma_m: 0.0, lambda_near: 3.0, lambda_far: 1.0, near_px: 8.0, far_px: 3.0 };
+    const RIG: StereoRig = StereoRig {
+        width_px: 640,
+        height_px: 480,
+        focal_px: 440.0,
+        cx_px: 320.0,
+        cy_px: 240.0,
+        baseline_m: 0.1,
+        doffs_px: 0.0,
+    };
+    const FOCAL_BASELINE: f32 = 44.0;
 
     #[test]
     fn the_near_end_of_the_interval_rises_with_disparity() {
-        let ends: Vec<f32> = (0..2000).map(|i| i as f32 * 0.01).map(|d| d - NOISE.margin_px(d)).collect();
-        assert!(ends.windows(2).all(|pair| pair[1] > pair[0]));
+        for sigma_m in [0.0, 0.01, 0.1] {
+            let noise = NoiseModel { sigma_m, ..NOISE };
+            let end = |d: f32| d - noise.margin_px(d, FOCAL_BASELINE);
+            let ends: Vec<f32> = (0..100_000).map(|i| end(i as f32 * 0.01)).collect();
+            assert!(ends.windows(2).all(|pair| pair[1] > pair[0]), "{sigma_m}");
+        }
     }
 
     #[test]
     fn a_ramp_that_is_too_steep_is_refused() {
         let mut bounds = Bounds::default();
-        NoiseModel { near_px: 3.5, ..NOISE }.check(&mut bounds);
+        NoiseModel { near_px: 3.5, ..NOISE }.check(&mut bounds, &RIG);
         assert_eq!(bounds.into_violations().len(), 1);
     }
 
     #[test]
     fn votes_never_change_sign() {
-        assert_eq!(NOISE.vote(0.1), 0.0);
-        assert!((NOISE.vote(3.6) - 6.2).abs() < 1e-5);
+        assert_eq!(NOISE.vote(0.1, FOCAL_BASELINE), 0.0);
+        assert!((NOISE.vote(3.6, FOCAL_BASELINE) - 6.2).abs() < 1e-5);
+    }
+
+    #[test]
+    fn an_error_of_depth_counts_most_near_the_camera() {
+        let noise = NoiseModel { sigma_px: 0.04, sigma_m: 0.01, ..NOISE };
+        // σ_z = sigma_px·z²/(f·b) + sigma_m.
+        for (depth_m, expected_m) in [(0.5, 0.010_227), (1.0, 0.010_909), (4.0, 0.024_545)] {
+            let disparity_px = FOCAL_BASELINE / depth_m;
+            let sigma_m = noise.at(disparity_px, FOCAL_BASELINE) * depth_m * depth_m / FOCAL_BASELINE;
+            assert!((sigma_m - expected_m).abs() < 1e-5, "{depth_m}: {sigma_m}");
+        }
     }
 }

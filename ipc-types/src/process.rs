@@ -23,13 +23,15 @@ pub enum ProcessId {
     Controller = 6,
     /// Everything → log.
     Recorder = 7,
-    /// Image files → stereo frames (`replay`).
+    /// Image files → frames (`replay`).
     Player = 8,
+    /// Live cameras → frames.
+    Camera = 9,
 }
 
 impl ProcessId {
     /// All of them, in start-up order.
-    pub const ALL: [Self; 9] = [
+    pub const ALL: [Self; 10] = [
         Self::Supervisor,
         Self::Simulator,
         Self::StereoIngest,
@@ -39,6 +41,7 @@ impl ProcessId {
         Self::Controller,
         Self::Recorder,
         Self::Player,
+        Self::Camera,
     ];
 
     /// Name on the command line, in logs and in shared memory.
@@ -53,6 +56,7 @@ impl ProcessId {
             Self::Controller => "controller",
             Self::Recorder => "recorder",
             Self::Player => "player",
+            Self::Camera => "camera",
         }
     }
 

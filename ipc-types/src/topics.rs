@@ -78,6 +78,7 @@ macro_rules! for_each_topic {
             Truth,
             State,
             StereoFrames,
+            DepthFrames,
             Disparity,
             Expanded,
             Keyframes,
@@ -128,7 +129,7 @@ const NONE: fn(&StereoRig) -> usize = |_| 0;
 topics! {
     /// Flight time against host time.
     Clock: "flight_clock", FlightClock, [u8; NONE], 100.0 Hz, history 1, depth 4, image false,
-        from [Simulator, Player], to [reads(StereoIngest), reads(Expansion), reads(Memory), reads(Planner),
+        from [Simulator, Player], to [reads(Camera), reads(StereoIngest), reads(Expansion), reads(Memory), reads(Planner),
             reads(Controller), reads(Recorder), reads(Supervisor)];
     /// Truth, for reports alone.
     Truth: "world_truth", WorldTruth, [u8; NONE], 100.0 Hz, history 1, depth 64, image false,
@@ -136,9 +137,12 @@ topics! {
     /// State estimate.
     State: "vehicle_state", VehicleState, [u8; NONE], 100.0 Hz, history 1, depth 16, image false,
         from [Simulator, Player], to [wakes(Memory), reads(Planner), wakes(Controller), reads(Recorder), reads(Supervisor)];
-    /// Rectified stereo pairs.
+    /// Stereo pairs.
     StereoFrames: "stereo_frame", StereoFrame, [u8; |rig| 2 * rig.pixels()], 12.5 Hz, history 1, depth 1, image true,
-        from [Simulator, Player], to [wakes(StereoIngest), reads(Recorder), reads(Supervisor)];
+        from [Simulator, Player, Camera], to [wakes(StereoIngest), reads(Recorder), reads(Supervisor)];
+    /// Depth images, and disparity images that the sensor matched itself.
+    DepthFrames: "depth_frame", DepthFrame, [u16; |rig| rig.pixels()], 12.5 Hz, history 1, depth 1, image true,
+        from [Player, Camera], to [wakes(StereoIngest), reads(Recorder), reads(Supervisor)];
     /// Disparity images.
     Disparity: "disparity_image", DisparityImage, [u16; |rig| rig.pixels()], 12.5 Hz, history 1, depth 1, image true,
         from [StereoIngest], to [wakes(Expansion), reads(Recorder), reads(Supervisor)];
@@ -162,8 +166,8 @@ topics! {
         from [Controller], to [reads(Simulator), reads(Recorder), reads(Supervisor)];
     /// Heartbeats.
     HealthReports: "health", Health, [u8; NONE], 10.0 Hz, history 1, depth 32, image false,
-        from [Simulator, Player, StereoIngest, Expansion, Memory, Planner, Controller, Recorder],
-        to [reads(Recorder), reads(Supervisor)];
+        from [Simulator, Player, Camera, StereoIngest, Expansion, Memory, Planner, Controller, Recorder],
+        to [reads(Player), reads(Recorder), reads(Supervisor)];
 }
 
 #[cfg(test)]

@@ -3,6 +3,7 @@
 //! A message is a fixed-size header and a slice of elements, both plain old data. A header-only message has an
 //! empty slice. Lengths are metres, times nanoseconds of flight time, quaternions `[w, x, y, z]`.
 
+mod depth_frame;
 mod disparity_image;
 mod expanded_image;
 mod flight_clock;
@@ -16,6 +17,7 @@ mod trajectory;
 mod vehicle_state;
 mod world_truth;
 
+pub use depth_frame::DepthFrame;
 pub use disparity_image::DisparityImage;
 pub use expanded_image::{ExpandedImage, ExpandedPlanes, NEVER_OCCUPIED, UNKNOWN_FRONT};
 pub use flight_clock::FlightClock;

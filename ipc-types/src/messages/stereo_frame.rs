@@ -1,9 +1,9 @@
-//! A rectified grey stereo pair.
+//! A grey stereo pair.
 
 use crate::wire::{Stamp, stamped, wire};
 
 wire! {
-    /// Rectified stereo pair. Elements: the left image, then the right one, 8-bit grey, row-major, no stride.
+    /// Stereo pair, rectified or raw as the vehicle's configuration says. Elements: the left image, then the right one, 8-bit grey, row-major, no stride.
     /// Valid at the instant of exposure.
     StereoFrame = "sparrowhawk/StereoFrame/1" {
         /// Origin.

@@ -1,7 +1,7 @@
 //! Cost of one expansion, front, back and near limit, single thread, on a synthetic scene of trunks before a slope.
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use expansion::{BackgroundRule, Config, Expander};
+use expansion::{BackgroundRule, Config, Expander, Reach};
 use ipc_types::StereoRig;
 use ipc_types::disparity::encode;
 use ipc_types::noise::NoiseModel;
@@ -19,7 +19,8 @@ fn scene(rig: &StereoRig) -> Vec<u16> {
 }
 
 fn bench(criterion: &mut Criterion) {
-    let noise = NoiseModel { sigma_px: 0.5, lambda_near: 3.0, lambda_far: 1.0, near_px: 10.0, far_px: 4.0 };
+    let noise =
+        NoiseModel { sigma_px: 0.5, sigma_m: 0.0, lambda_near: 3.0, lambda_far: 1.0, near_px: 10.0, far_px: 4.0 };
     for (width, height) in [(320, 240), (640, 480)] {
         let rig = StereoRig {
             width_px: width,
@@ -33,7 +34,7 @@ fn bench(criterion: &mut Criterion) {
         for radius_m in [0.5, 1.5] {
             let background = BackgroundRule { limit_m: 12.0, share: 0.7, textureless_share: 0.8 };
             let config = Config { radius_m, body_radius_m: 0.3, body_half_height_m: 0.15, hole_px: 24, background };
-            let mut expander = Expander::new(rig, &noise, 128, config);
+            let mut expander = Expander::new(rig, &noise, Reach::Matched { most_px: 128.0 }, config);
             let image = scene(&rig);
             let mut planes = vec![0; 3 * image.len()];
             criterion.bench_function(&format!("expand {width}x{height} r={radius_m}"), |bencher| {

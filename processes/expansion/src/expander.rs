@@ -52,10 +52,24 @@ pub struct Expander {
     border_limits: Vec<u16>,
 }
 
+/// How near a sensor still measures.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Reach {
+    /// As disparities of a pair of images, up to so many pixels.
+    Matched {
+        /// Largest disparity, px.
+        most_px: f32,
+    },
+    /// From this depth on, in every pixel.
+    Ranged {
+        /// Least depth, m.
+        nearest_m: f64,
+    },
+}
+
 impl Expander {
-    /// Prepares tables and scratch. `sensed_px` is the largest disparity that the images can report: what is nearer
-    /// goes unmatched, so no image vouches for it.
-    pub fn new(rig: StereoRig, noise: &NoiseModel, sensed_px: u32, config: Config) -> Self {
+    /// Prepares tables and scratch. No image vouches for what is nearer than the sensor reaches.
+    pub fn new(rig: StereoRig, noise: &NoiseModel, reach: Reach, config: Config) -> Self {
         let (width, height) = (rig.width_px as usize, rig.height_px as usize);
         let focal_px = rig.focal_px as f32;
         let scratch = || vec![0; width * height];
@@ -74,8 +88,11 @@ impl Expander {
                     y: column_axis.slope(row),
                 },
             );
-            // A pixel's match lies to the left in the right image, at most as far as that image goes.
-            border.min(encode(sensed_px.min(column as u32) as f32))
+            border.min(encode(match reach {
+                // A pixel's match lies to the left in the right image, at most as far as that image goes.
+                Reach::Matched { most_px } => most_px.min(column as f32),
+                Reach::Ranged { nearest_m } => rig.disparity_px(nearest_m) as f32,
+            }))
         };
         Self {
             border_limits: (0..width * height).map(border_limit).collect(),

@@ -23,7 +23,7 @@ mod range_max;
 mod tables;
 mod window;
 
-pub use expander::{ExpandError, Expander, Expansion};
+pub use expander::{ExpandError, Expander, Expansion, Reach};
 pub use measured::BackgroundRule;
 pub use process::ExpansionProcess;
 

@@ -204,7 +204,8 @@ mod tests {
             baseline_m: 0.3,
             doffs_px: 0.0,
         };
-        let noise = NoiseModel { sigma_px: 0.3, lambda_near: 3.0, lambda_far: 1.0, near_px: 6.0, far_px: 1.5 };
+        let noise =
+            NoiseModel { sigma_px: 0.3, sigma_m: 0.0, lambda_near: 3.0, lambda_far: 1.0, near_px: 6.0, far_px: 1.5 };
         let rule = BackgroundRule { limit_m: 50.0, share: 0.7, textureless_share: 0.8 };
         let body = (0.3, 0.15);
         let config =

@@ -1,6 +1,6 @@
 //! The expansion process: disparity topic in, expanded topic out.
 
-use crate::{Config, Expander};
+use crate::{Config, Expander, Reach};
 use ipc_types::noise::NoiseModel;
 use ipc_types::time::FlightTime;
 use ipc_types::topics::{Disparity, Expanded};
@@ -17,10 +17,10 @@ pub struct ExpansionProcess {
 }
 
 impl ExpansionProcess {
-    /// For a rig's images that report disparities up to `sensed_px`.
-    pub fn new(rig: StereoRig, noise: &NoiseModel, sensed_px: u32, config: Config) -> Self {
+    /// For a rig's images from a sensor that reaches so near.
+    pub fn new(rig: StereoRig, noise: &NoiseModel, reach: Reach, config: Config) -> Self {
         Self {
-            expander: Expander::new(rig, noise, sensed_px, config),
+            expander: Expander::new(rig, noise, reach, config),
             pixels: rig.pixels(),
             radius_m: config.radius_m,
             report: Report::waiting("waiting for disparity images"),

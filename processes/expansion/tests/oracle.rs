@@ -1,6 +1,6 @@
 //! Invariant 1 against a brute-force sphere oracle: nothing within the radius of a measured surface is ever free.
 
-use expansion::{BackgroundRule, Config, Expander};
+use expansion::{BackgroundRule, Config, Expander, Reach};
 use ipc_types::disparity::{NO_MATCH, SCALE, TEXTURELESS, decode, encode};
 use ipc_types::messages::{ExpandedPlanes, NEVER_OCCUPIED, UNKNOWN_FRONT};
 use ipc_types::noise::NoiseModel;
@@ -9,7 +9,9 @@ use rand::{RngExt, SeedableRng};
 
 const RIG: StereoRig =
     StereoRig { width_px: 96, height_px: 72, focal_px: 60.0, cx_px: 47.5, cy_px: 35.5, baseline_m: 0.3, doffs_px: 0.0 };
-const NOISE: NoiseModel = NoiseModel { sigma_px: 0.3, lambda_near: 3.0, lambda_far: 1.0, near_px: 6.0, far_px: 1.5 };
+const REACH: Reach = Reach::Matched { most_px: 1000.0 };
+const NOISE: NoiseModel =
+    NoiseModel { sigma_px: 0.3, sigma_m: 0.0, lambda_near: 3.0, lambda_far: 1.0, near_px: 6.0, far_px: 1.5 };
 const BACKGROUND: BackgroundRule = BackgroundRule { limit_m: 12.0, share: 0.7, textureless_share: 0.8 };
 
 fn config(radius_m: f32, hole_px: u32) -> Config {
@@ -72,14 +74,14 @@ fn no_point_near_a_measured_surface_is_free() {
     {
         let image = random_scene(seed, unmatched);
         let mut planes = vec![0; 3 * image.len()];
-        Expander::new(RIG, &NOISE, 1000, config(radius_m, 4)).step(&image, &mut planes).expect("sizes agree");
+        Expander::new(RIG, &NOISE, REACH, config(radius_m, 4)).step(&image, &mut planes).expect("sizes agree");
         let planes = ExpandedPlanes::split(&planes, image.len()).expect("three planes");
         let mut random = rand_pcg::Pcg64Mcg::seed_from_u64(seed + 100);
         let mut checked = 0;
         while checked < 60_000 {
             let index = random.random_range(0..image.len());
             let Some(d) = decode(image[index]) else { continue };
-            let margin = NOISE.margin_px(d);
+            let margin = NOISE.margin_px(d, RIG.focal_baseline_px_m() as f32);
             let within = f64::from(d + margin * random.random_range(-1.0_f32..=1.0));
             let (u, v) = ((index % 96) as f64, (index / 96) as f64);
             let surface = RIG.back_project(
@@ -111,7 +113,7 @@ fn around_a_free_point_the_whole_body_was_measured() {
         (0..holes).for_each(|_| image[random.random_range(0..RIG.pixels())] = NO_MATCH);
         let config = config(0.4, 0);
         let mut planes = vec![0; 3 * image.len()];
-        Expander::new(RIG, &NOISE, 1000, config).step(&image, &mut planes).expect("sizes agree");
+        Expander::new(RIG, &NOISE, REACH, config).step(&image, &mut planes).expect("sizes agree");
         let planes = ExpandedPlanes::split(&planes, image.len()).expect("three planes");
         let mut free = 0;
         for _ in 0..400_000 {
@@ -140,14 +142,14 @@ fn around_a_free_point_the_whole_body_was_measured() {
 #[test]
 fn a_gap_of_two_radii_and_two_pixels_between_poles_stays_open() {
     let (depth_m, radius_m) = (6.0, 0.5_f32);
-    let noise = NoiseModel { sigma_px: 0.01, lambda_near: 0.0, lambda_far: 0.0, ..NOISE };
+    let noise = NoiseModel { sigma_px: 0.01, sigma_m: 0.0, lambda_near: 0.0, lambda_far: 0.0, ..NOISE };
     let (near, far) = (encode(RIG.disparity_px(depth_m) as f32), encode(RIG.disparity_px(40.0) as f32));
     let half_gap = (f64::from(radius_m) * RIG.focal_px / depth_m + 1.0).ceil() as usize + 1;
     let (width, height) = (RIG.width_px as usize, RIG.height_px as usize);
     let is_pole = |column: usize| column.abs_diff(width / 2) >= half_gap && column.abs_diff(width / 2) < half_gap + 4;
     let image: Vec<u16> = (0..width * height).map(|i| if is_pole(i % width) { near } else { far }).collect();
     let mut planes = vec![0; 3 * image.len()];
-    Expander::new(RIG, &noise, 1000, config(radius_m, 0)).step(&image, &mut planes).expect("sizes agree");
+    Expander::new(RIG, &noise, REACH, config(radius_m, 0)).step(&image, &mut planes).expect("sizes agree");
     let planes = ExpandedPlanes::split(&planes, image.len()).expect("three planes");
     let through = Point::new(0.5 * depth_m / RIG.focal_px, 0.0, depth_m);
     assert_eq!(ask(&planes, through), Some(Answer::Free));
@@ -159,12 +161,12 @@ fn a_gap_of_two_radii_and_two_pixels_between_poles_stays_open() {
 fn unknown_exceeds_the_unmatched_share_only_by_a_rim_of_one_pixel() {
     let image = random_scene(7, 0.0);
     let mut planes = vec![0; 3 * image.len()];
-    let expansion = Expander::new(RIG, &NOISE, 1000, config(0.5, 0)).step(&image, &mut planes).expect("sizes agree");
+    let expansion = Expander::new(RIG, &NOISE, REACH, config(0.5, 0)).step(&image, &mut planes).expect("sizes agree");
     let rim = 2.0 * (96.0 + 70.0) / (96.0 * 72.0);
     assert!((expansion.unknown_share - rim).abs() < 0.001, "{}", expansion.unknown_share);
     let mut holed = image.clone();
     holed.iter_mut().take(96 * 20).for_each(|pixel| *pixel = NO_MATCH);
-    let expansion = Expander::new(RIG, &NOISE, 1000, config(0.5, 0)).step(&holed, &mut planes).expect("sizes agree");
+    let expansion = Expander::new(RIG, &NOISE, REACH, config(0.5, 0)).step(&holed, &mut planes).expect("sizes agree");
     let rim = 2.0 * (96.0 + 50.0) / (96.0 * 72.0);
     assert!((expansion.unknown_share - 20.0 / 72.0 - rim).abs() < 0.001, "{}", expansion.unknown_share);
 }
@@ -179,7 +181,7 @@ fn clear_sky_grants_a_limited_range_and_a_blank_wall_none_beyond_it() {
     };
     let ahead = |image: &[u16], depth_m: f64| {
         let mut planes = vec![0; 3 * image.len()];
-        Expander::new(RIG, &NOISE, 1000, config(0.5, 0)).step(image, &mut planes).expect("sizes agree");
+        Expander::new(RIG, &NOISE, REACH, config(0.5, 0)).step(image, &mut planes).expect("sizes agree");
         let planes = ExpandedPlanes::split(&planes, image.len()).expect("three planes");
         ask(&planes, Point::new(0.0, -0.1 * depth_m, depth_m)).expect("in view")
     };
@@ -197,7 +199,7 @@ fn clear_sky_grants_a_limited_range_and_a_blank_wall_none_beyond_it() {
 
 #[test]
 fn hostile_images_are_refused_or_answered_without_panic() {
-    let mut expander = Expander::new(RIG, &NOISE, 1000, config(0.5, 4));
+    let mut expander = Expander::new(RIG, &NOISE, REACH, config(0.5, 4));
     let mut planes = vec![0; 3 * RIG.pixels()];
     assert!(expander.step(&[], &mut planes).is_err());
     assert!(expander.step(&vec![0; RIG.pixels()], &mut planes[1..]).is_err());

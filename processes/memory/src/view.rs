@@ -242,7 +242,7 @@ impl View {
         }
         let inverse_depth_px = self.focal_baseline / z;
         let d = (inverse_depth_px - self.rig.doffs_px as f32) * SCALE;
-        let weight = self.noise.vote(inverse_depth_px);
+        let weight = self.noise.vote(inverse_depth_px, self.focal_baseline);
         if d > f32::from(front) {
             match (d > f32::from(near), back == NEVER_OCCUPIED) {
                 (true, _) => Vote::NoReturn,
@@ -273,7 +273,7 @@ mod tests {
         doffs_px: 0.0,
     };
     const NOISE: NoiseModel =
-        NoiseModel { sigma_px: 0.1, lambda_near: 3.0, lambda_far: 1.0, near_px: 8.0, far_px: 3.0 };
+        NoiseModel { sigma_px: 0.1, sigma_m: 0.0, lambda_near: 3.0, lambda_far: 1.0, near_px: 8.0, far_px: 3.0 };
     const RULE: FreeSpaceRule =
         FreeSpaceRule { home_radius_m: 1.0, home_height_m: 2.0, swept_radius_m: 0.5, background_parallax_m: 0.5 };
     const GAMMA: f32 = 0.9;

@@ -400,7 +400,8 @@ pub(crate) mod tests {
             swept_radius_m: 0.5,
             background_parallax_m: 0.5,
         };
-        let noise = NoiseModel { sigma_px: 0.5, lambda_near: 3.0, lambda_far: 1.0, near_px: 10.0, far_px: 4.0 };
+        let noise =
+            NoiseModel { sigma_px: 0.5, sigma_m: 0.0, lambda_near: 3.0, lambda_far: 1.0, near_px: 10.0, far_px: 4.0 };
         View::new(RIG, noise, FreeSpace::new(rule, Point::ZERO))
     }
 

@@ -5,7 +5,8 @@
 //! removal. What has no texture is reported as [`ipc_types::disparity::TEXTURELESS`], what has no consistent match
 //! as [`ipc_types::disparity::NO_MATCH`]; neither is ever "far".
 //!
-//! [`StereoProcess`] connects the matcher to its topics. [`PairPlayer`] is the source that reads image files.
+//! [`StereoProcess`] connects the matcher to its topics, or a depth sensor's images ([`Source`]). [`Player`] feeds it from
+//! image files, [`CameraProcess`] from live cameras.
 //! The core refuses images of another size than the rig's, and allocates nothing after construction.
 
 pub mod calibration;
@@ -15,8 +16,9 @@ mod ground_truth;
 mod matching;
 mod pair_check;
 mod pairs;
-mod player;
 mod process;
+mod source;
+mod sources;
 
 pub use calibration::Calibration;
 pub use config::{Config, Method};
@@ -24,6 +26,9 @@ pub use error_profile::{ErrorProfile, GaussianFit, Sample};
 pub use ground_truth::{DisparityError, GroundTruth};
 pub use matching::{MatchError, MatchStatistics, Matcher, SimdLevel};
 pub use pair_check::{PairCheck, PairFault};
-pub use pairs::{PairError, StereoPair, load_disparity, load_mask, save_disparity};
-pub use player::PairPlayer;
+pub use pairs::{DepthImage, PairError, StereoPair, load_disparity, load_mask, save_disparity};
 pub use process::StereoProcess;
+pub use source::{Source, ValueTable};
+pub use sources::{
+    ALL_SHOWN, CameraConfig, CameraProcess, Content, FrameImage, PixelFormat, Player, Sequence, SequenceFrame,
+};

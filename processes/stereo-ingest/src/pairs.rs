@@ -1,4 +1,4 @@
-//! Files: rectified image pairs, calibrations, disparity images (16-bit PNG × 256, PFM).
+//! Files: image pairs, depth images (16-bit PNG), disparity images (16-bit PNG × 256, PFM).
 
 use image::{DynamicImage, ImageReader, Luma};
 use ipc_types::StereoRig;
@@ -76,7 +76,7 @@ fn read_grey(path: &Path) -> Result<image::GrayImage, PairError> {
     Ok(image.into_luma8())
 }
 
-/// A rectified pair of equal size, converted to 8-bit grey.
+/// A pair of equal size, converted to 8-bit grey.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StereoPair {
     /// Width of each image, px.
@@ -103,6 +103,36 @@ impl StereoPair {
         let mut pixels = left_image.into_raw();
         pixels.extend_from_slice(&right_image);
         Ok(Self { width_px: size.0, height_px: size.1, pixels })
+    }
+}
+
+/// A depth image, or one of ready-made disparity, as the sensor delivered it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DepthImage {
+    /// Width, px.
+    pub width_px: u32,
+    /// Height, px.
+    pub height_px: u32,
+    /// The pixels, in the sensor's units.
+    pub values: Vec<u16>,
+}
+
+impl DepthImage {
+    /// Reads a 16-bit grey PNG or PGM.
+    ///
+    /// # Errors
+    /// The file is missing, damaged, or of another type.
+    pub fn load(path: &Path) -> Result<Self, PairError> {
+        match read_image(path)? {
+            DynamicImage::ImageLuma16(image) => {
+                let (width_px, height_px) = image.dimensions();
+                Ok(Self { width_px, height_px, values: image.into_raw() })
+            }
+            other => {
+                let problem = format!("has pixels of type {:?}, expected 16-bit grey", other.color());
+                Err(unusable(path, problem))
+            }
+        }
     }
 }
 

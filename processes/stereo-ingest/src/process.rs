@@ -1,57 +1,41 @@
-//! The stereo-ingest process: stereo frames in, raw or rectified; disparity out.
+//! The stereo-ingest process: what the sensor delivers in, disparity out.
 
 use crate::calibration::Rectifier;
+use crate::source::{Source, ValueTable};
 use crate::{Config, Matcher, PairCheck, PairFault};
 use ipc_types::disparity::{MASKED, NO_MATCH};
+use ipc_types::messages::DisparityImage;
 use ipc_types::time::FlightTime;
-use ipc_types::topics::{Disparity, StereoFrames};
+use ipc_types::topics::{DepthFrames, Disparity, StereoFrames};
 use ipc_types::{ProcessId, StereoRig};
 use runtime::{Connect, Message, Ports, Process, Report};
 
-/// Connects a [`Matcher`] to its topics.
+/// Connects a front end to its topics: a [`Matcher`] for stereo pairs, a [`ValueTable`] for depth and ready-made disparity.
 #[derive(Debug)]
 pub struct StereoProcess {
-    matcher: Matcher,
-    check: PairCheck,
-    /// For raw frames, with room for the rectified pair.
-    rectifier: Option<(Rectifier, Vec<u8>)>,
+    front_end: FrontEnd,
     rig: StereoRig,
     report: Report,
 }
 
-impl StereoProcess {
-    /// For a rig's pairs: rectified ones, or raw ones that `rectifier` makes the rig's.
-    pub fn new(rig: StereoRig, config: Config, rectifier: Option<Rectifier>) -> Self {
-        let check = PairCheck::new(&rig, config.max_disparity_px);
-        let rectifier = rectifier.map(|rectifier| (rectifier, vec![0; 2 * rig.pixels()]));
-        Self {
-            matcher: Matcher::new(&rig, config),
-            check,
-            rectifier,
-            rig,
-            report: Report::waiting("waiting for stereo frames"),
-        }
-    }
+#[derive(Debug)]
+enum FrontEnd {
+    Pairs(Box<PairFrontEnd>),
+    Values(ValueTable),
 }
 
-impl Process for StereoProcess {
-    const ID: ProcessId = ProcessId::StereoIngest;
+#[derive(Debug)]
+struct PairFrontEnd {
+    matcher: Matcher,
+    check: PairCheck,
+    /// For raw frames, with room for the rectified pair.
+    rectifier: Option<(Rectifier, Vec<u8>)>,
+}
 
-    fn connect(&self, connect: &mut impl Connect) {
-        connect.reads::<StereoFrames>();
-        connect.writes::<Disparity>();
-    }
-
-    fn step<P: Ports>(&mut self, ports: &mut P) -> Report {
-        let Some(frame) = ports.latest::<StereoFrames>() else {
-            return self.report.idle();
-        };
-        let (header, pixels) = (*frame.header(), self.rig.pixels());
-        let sized = (header.width_px, header.height_px) == (self.rig.width_px, self.rig.height_px);
-        if !sized || frame.elements().len() != 2 * pixels {
-            return self.report.refuse("stereo frame is not of the rig's size");
-        }
-        let raw = frame.elements();
+impl PairFrontEnd {
+    /// Disparity of a pair (left image, then right image).
+    fn step(&mut self, raw: &[u8], out: &mut DisparityImage, disparity: &mut [u16]) -> Option<PairFault> {
+        let pixels = disparity.len();
         if let Some((rectifier, rectified)) = &mut self.rectifier {
             let sides = raw.chunks(pixels).zip(rectified.chunks_mut(pixels));
             sides.enumerate().for_each(|(camera, (raw, out))| rectifier.remap(camera, raw, out));
@@ -62,22 +46,97 @@ impl Process for StereoProcess {
         };
         let (left, right) = pair.split_at(pixels);
         let fault = self.check.step(left, right);
-        let matcher = &mut self.matcher;
-        let valid = FlightTime::from_nanos(header.stamp.valid_ns);
-        ports.publish::<Disparity>(valid, pixels, |out, disparity| {
+        let forbidden = fault.is_some_and(PairFault::forbids_matching);
+        let found = if forbidden { None } else { self.matcher.step(left, right, disparity).ok() };
+        match found {
+            Some(found) => (out.valid, out.textureless) = (found.valid as u32, found.textureless as u32),
+            // Such a pair would be matched wrong: nothing is known instead.
+            None => disparity.fill(NO_MATCH),
+        }
+        outside.iter().for_each(|&pixel| disparity[pixel as usize] = MASKED);
+        fault
+    }
+}
+
+impl StereoProcess {
+    /// For a rig's sensor. Its pairs are rectified, or raw and `rectifier` makes them the rig's.
+    pub fn new(rig: StereoRig, source: &Source, config: Config, rectifier: Option<Rectifier>) -> Self {
+        let front_end = match ValueTable::new(&rig, source) {
+            Some(table) => FrontEnd::Values(table),
+            None => FrontEnd::Pairs(Box::new(PairFrontEnd {
+                check: PairCheck::new(&rig, config.max_disparity_px),
+                matcher: Matcher::new(&rig, config),
+                rectifier: rectifier.map(|rectifier| (rectifier, vec![0; 2 * rig.pixels()])),
+            })),
+        };
+        Self { front_end, rig, report: Report::waiting("waiting for frames") }
+    }
+
+    fn is_of_the_rig(&self, width_px: u32, height_px: u32, elements: usize, per_pixel: usize) -> bool {
+        (width_px, height_px) == (self.rig.width_px, self.rig.height_px) && elements == per_pixel * self.rig.pixels()
+    }
+
+    fn match_pair(&mut self, ports: &mut impl Ports) -> Report {
+        let Some(frame) = ports.latest::<StereoFrames>() else {
+            return self.report.idle();
+        };
+        let header = *frame.header();
+        if !self.is_of_the_rig(header.width_px, header.height_px, frame.elements().len(), 2) {
+            return self.report.refuse("stereo frame is not of the rig's size");
+        }
+        let FrontEnd::Pairs(front_end) = &mut self.front_end else { return self.report.idle() };
+        let mut fault = None;
+        ports.publish::<Disparity>(valid_at(header.stamp.valid_ns), self.rig.pixels(), |out, disparity| {
             (out.width_px, out.height_px) = (header.width_px, header.height_px);
-            let forbidden = fault.is_some_and(PairFault::forbids_matching);
-            let found = if forbidden { None } else { matcher.step(left, right, disparity).ok() };
-            match found {
-                Some(found) => (out.valid, out.textureless) = (found.valid as u32, found.textureless as u32),
-                // Such a pair would be matched wrong: nothing is known instead. (Sizes were checked above.)
-                None => disparity.fill(NO_MATCH),
-            }
-            outside.iter().for_each(|&pixel| disparity[pixel as usize] = MASKED);
+            fault = front_end.step(frame.elements(), out, disparity);
         });
         match fault {
             Some(fault) => self.report.degraded(fault.note()),
             None => self.report.worked(),
+        }
+    }
+
+    fn convert_values(&mut self, ports: &mut impl Ports) -> Report {
+        let Some(frame) = ports.latest::<DepthFrames>() else {
+            return self.report.idle();
+        };
+        let header = *frame.header();
+        if !self.is_of_the_rig(header.width_px, header.height_px, frame.elements().len(), 1) {
+            return self.report.refuse("depth frame is not of the rig's size");
+        }
+        let FrontEnd::Values(table) = &self.front_end else { return self.report.idle() };
+        let mut valid = 0;
+        ports.publish::<Disparity>(valid_at(header.stamp.valid_ns), self.rig.pixels(), |out, disparity| {
+            (out.width_px, out.height_px) = (header.width_px, header.height_px);
+            valid = table.convert(frame.elements(), disparity);
+            out.valid = valid as u32;
+        });
+        match valid {
+            0 => self.report.degraded("the depth sensor measures nothing"),
+            _ => self.report.worked(),
+        }
+    }
+}
+
+fn valid_at(valid_ns: i64) -> FlightTime {
+    FlightTime::from_nanos(valid_ns)
+}
+
+impl Process for StereoProcess {
+    const ID: ProcessId = ProcessId::StereoIngest;
+
+    fn connect(&self, connect: &mut impl Connect) {
+        match self.front_end {
+            FrontEnd::Pairs(_) => connect.reads::<StereoFrames>(),
+            FrontEnd::Values(_) => connect.reads::<DepthFrames>(),
+        }
+        connect.writes::<Disparity>();
+    }
+
+    fn step<P: Ports>(&mut self, ports: &mut P) -> Report {
+        match self.front_end {
+            FrontEnd::Pairs(_) => self.match_pair(ports),
+            FrontEnd::Values(_) => self.convert_values(ports),
         }
     }
 }
