@@ -136,7 +136,8 @@ fn commands(
     rate_hz: f64,
 ) -> std::io::Result<Vec<ChildCommand>> {
     let player = Member { process: ProcessId::Player, restarts: false, is_essential: true };
-    let camera = Member { process: ProcessId::Camera, restarts: true, is_essential: true };
+    // A camera that is unplugged is opened again; one that cannot be opened at all ends the run.
+    let camera = Member { process: ProcessId::Camera, restarts: false, is_essential: true };
     let camera = matches!(input, Input::Camera(_)).then_some(camera);
     let members = config.graph.digesting().chain([player]).chain(camera);
     let mut commands: Vec<_> =
@@ -249,8 +250,7 @@ impl Gathered {
 
     /// The products of the last frame, once it has passed all stages; of the newest one if there is no more to wait for.
     fn complete(&mut self, is_interrupted: bool) -> Option<Products> {
-        let enough = self.wanted.is_some_and(|wanted| self.figures.shown >= wanted);
-        let from_ns = if enough || is_interrupted { i64::MIN } else { self.last_ns? };
+        let from_ns = if is_interrupted { i64::MIN } else { self.last_ns? };
         let is_complete = |p: &Products| p.disparity.is_some() && p.expanded.is_some() && p.keyframes.is_some();
         let found = self.products.iter().rev().find(|(at, products)| **at >= from_ns && is_complete(products));
         let exposure = *found?.0;
@@ -298,13 +298,16 @@ impl Gathered {
         if self.last_ns.is_none() {
             self.figures.shown = self.figures.shown.max(stamp.sequence);
             self.bar.set_position(self.figures.shown);
+            self.last_ns = self.wanted.filter(|&wanted| self.figures.shown >= wanted).map(|_| stamp.valid_ns);
         }
     }
 
     fn hear(&mut self, health: &Health) -> Result<(), Box<dyn Error>> {
         match ProcessId::from_wire(health.stamp.producer) {
             Some(ProcessId::Player) => {
-                self.figures.left_out = health.dropped.saturating_sub(self.figures.unpaired as u64);
+                if self.wanted.is_none() {
+                    self.figures.left_out = health.dropped.saturating_sub(self.figures.unpaired as u64);
+                }
                 if self.last_ns.is_none() && health.note.to_string_lossy() == ALL_SHOWN {
                     if self.figures.shown == 0 {
                         return Err("no frame of the sequence could be shown".into());

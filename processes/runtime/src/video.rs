@@ -9,7 +9,7 @@ use moq_v4l::sys::{
     v4l2_format, v4l2_requestbuffers, v4l2_streamparm,
 };
 use moq_v4l::v4l2::{self, vidioc};
-use moq_v4l::{Device, Memory, buffer};
+use moq_v4l::{Device, Memory, buffer, capability};
 use std::io;
 use std::path::Path;
 use std::ptr::NonNull;
@@ -101,6 +101,10 @@ impl VideoQueue {
     /// No such device, in use, no camera that streams, or it does not offer the format.
     pub fn start(path: &Path, format: VideoFormat) -> io::Result<Self> {
         let mut queue = Self { device: Device::with_path(path)?, buffers: Vec::new(), stride: 0 };
+        let can = queue.device.query_caps().map_err(|_| io::Error::other("is not a camera"))?.capabilities;
+        if !can.contains(capability::Flags::VIDEO_CAPTURE | capability::Flags::STREAMING) {
+            return Err(io::Error::other("is a video device, but not one that captures and streams"));
+        }
         queue.stride = queue.set_format(format)?;
         queue.set_rate(format.rate_hz)?;
         let mut request =

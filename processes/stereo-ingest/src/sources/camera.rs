@@ -235,6 +235,11 @@ impl Process for CameraProcess {
         }
         let Some(taken) = self.paired() else { return self.report.idle() };
         self.last = host_now();
+        if began.0 == FlightTime::ZERO {
+            // There is no flight time yet: an exposure could not be told.
+            self.eyes.iter_mut().for_each(|eye| eye.taken = None);
+            return self.report.idle();
+        }
         let exposure = self.exposure(began, taken.at);
         self.publish(ports, exposure);
         self.eyes.iter_mut().for_each(|eye| eye.taken = None);
