@@ -1,5 +1,6 @@
 //! `sparrowhawk calibrate`: cameras from chessboards, and how far off disparities are.
 
+use crate::config::VehicleConfig;
 use crate::noise_plot::plot;
 use clap::Args;
 use indicatif::ProgressBar;
@@ -48,7 +49,8 @@ pub(crate) struct CalibrateArguments {
     /// Plot the histogram of disparity errors and the fitted Gaussian.
     #[arg(long, value_name = "FILE.svg")]
     plot: Option<PathBuf>,
-    /// Write the standard deviation to this vehicle's noise.sigma_px. Everything else in the file stays.
+    /// Write the standard deviation to this vehicle's noise.sigma_px, measured with its own matching method. Everything
+    /// else in the file stays.
     #[arg(long, value_name = "VEHICLE.ron")]
     write: Option<PathBuf>,
     /// Write the figures to this file (JSON).
@@ -141,6 +143,18 @@ pub(crate) fn run(arguments: &CalibrateArguments) -> Result<ExitCode, Box<dyn Er
 }
 
 impl CalibrateArguments {
+    /// The dense matcher, with a range that reaches far enough; with the vehicle's method where its noise is asked for. Its
+    /// filters are for flight: a board of blank squares would not pass them.
+    fn matcher(&self, largest_px: f64, width_px: u32) -> Result<Config, Box<dyn Error>> {
+        let max_disparity_px = self.range(largest_px, width_px)?;
+        Ok(match &self.write {
+            Some(vehicle) => {
+                Config { method: VehicleConfig::load(vehicle)?.stereo.method, ..Config::dense(max_disparity_px) }
+            }
+            None => Config::dense(max_disparity_px),
+        })
+    }
+
     /// The range asked for, or the smallest one that reaches 2 px beyond the largest disparity.
     fn range(&self, largest_px: f64, width_px: u32) -> Result<u32, String> {
         let fits = |range: &u32| f64::from(*range) > largest_px + 2.0;
@@ -192,7 +206,7 @@ fn from_boards(arguments: &CalibrateArguments, (columns, rows): (usize, usize)) 
     let rectifier = Rectifier::new(&solution.calibration, &rectification);
     let mut profile = ErrorProfile::default();
     let nearest = (0..views.len()).flat_map(|view| solution.distances(&board, view)).fold(f64::INFINITY, f64::min);
-    let config = Config::dense(arguments.range(rig.disparity_px(nearest), rig.width_px)?);
+    let config = arguments.matcher(rig.disparity_px(nearest), rig.width_px)?;
     let mut matcher = Matcher::new(&rig, config);
     let mut disparity = vec![0; rig.pixels()];
     for (index, pair) in pairs.iter().enumerate() {
@@ -296,7 +310,7 @@ fn from_truth(arguments: &CalibrateArguments) -> Result<Found, Box<dyn Error>> {
         let (left_image, right_image) = pair.pixels.split_at(any.pixels());
         let truth = load_disparity(truth, width_px, height_px)?;
         let nearest = truth.iter().flatten().copied().fold(0.0, f32::max);
-        let config = Config::dense(arguments.range(nearest.into(), width_px)?);
+        let config = arguments.matcher(nearest.into(), width_px)?;
         Matcher::new(&any, config).step(left_image, right_image, &mut disparity)?;
         profile.add_image(&truth, &disparity);
     }

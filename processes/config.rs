@@ -4,16 +4,14 @@
 //! its file, path, value and allowed range. The files that ship are compiled in, so that the executable flies alone.
 
 use crate::graph_config::GraphConfig;
+pub use crate::vehicle_config::VehicleConfig;
 use ipc_types::bounds::Bounds;
-use ipc_types::noise::NoiseModel;
-use ipc_types::rig::{CameraMount, StereoRig};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
-use simulator::{SimulatorConfig, WorldConfig};
-use std::f64::consts::FRAC_PI_2;
+use simulator::WorldConfig;
 use std::fs;
 use std::path::{Path, PathBuf};
-use stereo_ingest::calibration::{Rectifier, StereoCalibration};
+use stereo_ingest::calibration::Rectifier;
 use supervisor::MissionConfig;
 
 /// Why a configuration was refused.
@@ -54,38 +52,6 @@ struct FlightFile {
     mission: MissionConfig,
 }
 
-/// A vehicle: geometry and the parameters of every stage.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct VehicleConfig {
-    /// What it is called.
-    pub name: String,
-    /// Stereo rig, rectified.
-    pub rig: StereoRig,
-    /// The raw cameras that are rectified to it; none where the images are rectified already, as the simulator's are.
-    pub calibration: Option<StereoCalibration>,
-    /// What the sensor delivers.
-    pub source: stereo_ingest::Source,
-    /// The camera that delivers it; none in the simulator, and where images come from files.
-    pub camera: Option<stereo_ingest::CameraConfig>,
-    /// Where the camera sits.
-    pub mount: CameraMount,
-    /// Its noise.
-    pub noise: NoiseModel,
-    /// Matcher.
-    pub stereo: stereo_ingest::Config,
-    /// Expansion.
-    pub expansion: expansion::Config,
-    /// Memory.
-    pub memory: memory::Config,
-    /// Planner.
-    pub planner: planner::Config,
-    /// Controller.
-    pub controller: controller::Config,
-    /// How the simulator imitates it.
-    pub simulator: SimulatorConfig,
-}
-
 /// Everything a flight depends on. The children read it from the run directory.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -104,13 +70,6 @@ pub struct FlightConfig {
     pub avoidance: bool,
     /// Whether images are recorded.
     pub record_images: bool,
-}
-
-/// Whether two rigs are the same but for rounding: a thousandth of a pixel, a hundredth of a millimetre.
-fn is_near(a: &StereoRig, b: &StereoRig) -> bool {
-    let pixels = [(a.focal_px, b.focal_px), (a.cx_px, b.cx_px), (a.cy_px, b.cy_px), (a.doffs_px, b.doffs_px)];
-    let same_size = (a.width_px, a.height_px) == (b.width_px, b.height_px);
-    same_size && pixels.iter().all(|(a, b)| (a - b).abs() < 1e-3) && (a.baseline_m - b.baseline_m).abs() < 1e-5
 }
 
 /// The configuration files that ship, compiled in.
@@ -152,7 +111,7 @@ impl Source {
     }
 }
 
-fn read_text(path: &Path) -> Result<String, ConfigError> {
+pub(crate) fn read_text(path: &Path) -> Result<String, ConfigError> {
     let io = |source| ConfigError::Io { path: path.display().to_string(), source };
     let size = fs::metadata(path).map_err(io)?.len();
     if size > LARGEST_FILE {
@@ -162,7 +121,7 @@ fn read_text(path: &Path) -> Result<String, ConfigError> {
     fs::read_to_string(path).map_err(io)
 }
 
-fn parse<T: DeserializeOwned>(path: &str, text: &str) -> Result<T, ConfigError> {
+pub(crate) fn parse<T: DeserializeOwned>(path: &str, text: &str) -> Result<T, ConfigError> {
     ron::from_str(text).map_err(|error| ConfigError::Syntax {
         path: path.to_owned(),
         line: error.span.start.line,
@@ -351,120 +310,11 @@ impl FlightConfig {
     }
 }
 
-fn impossible(bounds: Bounds) -> Result<(), ConfigError> {
+pub(crate) fn impossible(bounds: Bounds) -> Result<(), ConfigError> {
     // A section that names a file ends in a colon; the path goes on after it.
     let violations: Vec<_> = bounds.into_violations().into_iter().map(|text| text.replacen(": .", ": ", 1)).collect();
     if violations.is_empty() { Ok(()) } else { Err(ConfigError::Impossible(violations)) }
 }
-
-impl VehicleConfig {
-    fn check(&self, bounds: &mut Bounds) {
-        bounds.section("rig", |bounds| self.rig.check(bounds));
-        if let Some(raw) = &self.calibration {
-            bounds.section("calibration", |bounds| raw.check(bounds));
-            match raw.rectify() {
-                Ok(rectified) if is_near(&rectified.rig, &self.rig) => {}
-                Ok(rectified) => bounds.require(
-                    false,
-                    "rig",
-                    format_args!("is {:?}, but the calibration's cameras become {:?}", self.rig, rectified.rig),
-                ),
-                Err(problem) => bounds.require(false, "calibration", format_args!("{problem}")),
-            }
-        }
-        bounds.section("mount", |bounds| self.mount.check(bounds));
-        bounds.section("source", |bounds| self.source.check(bounds));
-        bounds.section("camera", |bounds| self.camera.iter().for_each(|camera| camera.check(bounds)));
-        let is_raw_depth = self.calibration.is_some() && self.source != stereo_ingest::Source::Stereo;
-        bounds.require(
-            !is_raw_depth,
-            "calibration",
-            format_args!("is for stereo pairs, but the source is {:?}; expected None", self.source),
-        );
-        bounds.section("noise", |bounds| self.noise.check(bounds, &self.rig));
-        bounds.section("stereo", |bounds| self.stereo.check(bounds, &self.rig));
-        bounds.section("expansion", |bounds| self.expansion.check(bounds));
-        bounds.section("memory", |bounds| self.memory.check(bounds));
-        bounds.section("planner", |bounds| self.planner.check(bounds));
-        bounds.section("controller", |bounds| self.controller.check(bounds));
-        bounds.section("simulator", |bounds| self.simulator.check(bounds));
-        let hull_m = self.simulator.vehicle.hull_radius_m;
-        let (radius_m, body_m) = (f64::from(self.expansion.radius_m), f64::from(self.expansion.body_radius_m));
-        bounds.require(
-            radius_m >= hull_m + TRACKING_MARGIN_M,
-            "expansion.radius_m",
-            format_args!(
-                "is {radius_m}, must be at least the hull's {hull_m} m plus {TRACKING_MARGIN_M} m of tracking error"
-            ),
-        );
-        let (brakes, planned) = (self.controller.braking_mps2, self.planner.braking_mps2);
-        bounds.require(
-            brakes >= planned,
-            "controller.braking_mps2",
-            format_args!("is {brakes}, must be at least planner.braking_mps2 = {planned}"),
-        );
-        let (slew, hard) = (self.controller.slew_mps2, self.planner.hard_braking_mps2);
-        bounds.require(
-            slew >= hard,
-            "controller.slew_mps2",
-            format_args!("is {slew}, must be at least planner.hard_braking_mps2 = {hard}"),
-        );
-        let half_height_m = self.tilted_half_height_m();
-        bounds.require(
-            f64::from(self.expansion.body_half_height_m) >= half_height_m,
-            "expansion.body_half_height_m",
-            format_args!(
-                "is {}, must be at least that of the hull tilted by hard braking and the mount, {half_height_m:.3} m",
-                self.expansion.body_half_height_m
-            ),
-        );
-        bounds.require(
-            body_m >= hull_m,
-            "expansion.body_radius_m",
-            format_args!("is {body_m}, must be at least the hull's {hull_m} m"),
-        );
-        let escape_m = self.planner.escape_m;
-        bounds.require(
-            escape_m <= 0.6 * radius_m,
-            "planner.escape_m",
-            format_args!("is {escape_m}, must be at most 0.6 x expansion.radius_m = {:.2}", 0.6 * radius_m),
-        );
-        let deadline_s = self.controller.trajectory_deadline_s + self.planner.lead_s;
-        bounds.require(
-            self.planner.commit_s >= deadline_s,
-            "planner.commit_s",
-            format_args!(
-                "is {}, must be at least controller.trajectory_deadline_s + planner.lead_s = {deadline_s}",
-                self.planner.commit_s
-            ),
-        );
-        let able = self.simulator.vehicle.acceleration_mps2;
-        for (key, value) in [
-            ("planner.acceleration_mps2", self.planner.acceleration_mps2),
-            ("planner.braking_mps2", self.planner.braking_mps2),
-            ("planner.hard_braking_mps2", self.planner.hard_braking_mps2),
-        ] {
-            bounds.require(
-                value < able,
-                key,
-                format_args!("is {value}, must be below what the vehicle can, {able} m/s²"),
-            );
-        }
-    }
-}
-
-impl VehicleConfig {
-    /// Half of the height that the hull takes up in the camera's frame when the vehicle brakes hard, m.
-    fn tilted_half_height_m(&self) -> f64 {
-        let hull = &self.simulator.vehicle;
-        let tilt_rad = self.mount.pitch_up_deg.to_radians().abs() + (self.planner.hard_braking_mps2 / 9.81).atan();
-        let (sin, cos) = tilt_rad.min(FRAC_PI_2).sin_cos();
-        hull.hull_radius_m * sin + hull.hull_height_m / 2.0 * cos
-    }
-}
-
-/// Least allowance for tracking and state errors, m.
-const TRACKING_MARGIN_M: f64 = 0.1;
 
 #[cfg(test)]
 mod tests {

@@ -27,5 +27,6 @@ mod replay_input;
 mod replay_report;
 mod run_files;
 mod stereo;
+mod vehicle_config;
 
 pub use fly::report;

@@ -53,6 +53,9 @@ pub(crate) struct StereoArguments {
     /// Image of the pixels to score (bright): those not occluded, say.
     #[arg(long, value_name = "FILE", requires = "ground_truth")]
     mask: Option<PathBuf>,
+    /// Match images that look swapped, too.
+    #[arg(long)]
+    force: bool,
     /// Match this many times, to tell the time.
     #[arg(long, value_name = "N", default_value_t = 1)]
     repeat: u32,
@@ -120,8 +123,14 @@ pub(crate) fn stereo(arguments: &StereoArguments) -> Result<ExitCode, Box<dyn Er
         let (left, right) = pair.pixels.split_at(rig.pixels());
         move |_, _| check.step(left, right)
     });
-    if let Some(fault) = fault {
-        eprintln!("WARNING: {}", fault.note());
+    match fault {
+        Some(PairFault::Swapped) if !arguments.force => {
+            let (left, right) = (arguments.left.display(), arguments.right.display());
+            let problem = PairFault::Swapped.note();
+            return Err(format!("{left}, {right}: {problem}; to match them nevertheless, give --force").into());
+        }
+        Some(fault) => eprintln!("WARNING: {}", fault.note()),
+        None => {}
     }
     let mut matcher = Matcher::new(&rig, config);
     let mut disparity = vec![0; rig.pixels()];

@@ -9,7 +9,7 @@ use sparrowhawk::config::FlightConfig;
 use stats_alloc::{INSTRUMENTED_SYSTEM, Region, StatsAlloc};
 use std::alloc::System;
 use std::sync::Mutex;
-use stereo_ingest::Matcher;
+use stereo_ingest::{Matcher, PairCheck};
 
 #[global_allocator]
 static ALLOCATOR: &StatsAlloc<System> = &INSTRUMENTED_SYSTEM;
@@ -76,4 +76,29 @@ fn matching_and_expanding_allocate_nothing() {
     assert_eq!((change.allocations, change.reallocations), (0, 0), "{change:?}");
     let found = disparity.iter().filter_map(|&pixel| decode(pixel)).filter(|d| (d - 12.0).abs() < 0.5).count();
     assert!(found > pixels / 2, "it does its work: {found} of {pixels} pixels matched");
+}
+
+#[test]
+fn matching_on_several_threads_allocates_no_more_than_the_queue_of_jobs() {
+    const FRAMES: usize = 200;
+    let _alone = ALONE.lock();
+    let vehicle = FlightConfig::load(None, None).expect("loads").vehicle;
+    let image: Vec<u8> = (0..vehicle.rig.pixels()).map(|i| (i.wrapping_mul(2_654_435_761) >> 7) as u8).collect();
+    for threads in [1, 2, 3] {
+        let mut matcher = Matcher::new(&vehicle.rig, stereo_ingest::Config { threads, ..vehicle.stereo });
+        let mut check = PairCheck::new(&vehicle.rig, vehicle.stereo.max_disparity_px);
+        let mut disparity = vec![0; image.len()];
+        let mut step = || {
+            let _ = check.step(&image, &image);
+            matcher.step(&image, &image, &mut disparity).expect("sizes agree");
+        };
+        step();
+        let region = Region::new(ALLOCATOR);
+        (0..FRAMES).for_each(|_| step());
+        let change = region.change();
+        // A frame hands two jobs to the threads; rayon's queue takes a block of memory for every 31.
+        let most = if threads == 1 { 0 } else { 2 * FRAMES / 31 + 1 };
+        assert!(change.allocations <= most && change.reallocations == 0, "{threads} threads: {change:?}");
+        assert!(change.bytes_allocated <= 2048 * most, "{threads} threads: {change:?}");
+    }
 }

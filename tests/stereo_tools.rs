@@ -56,7 +56,10 @@ fn raw_images_are_rectified_and_swapped_ones_are_noticed() {
     assert!(found["rectify_ms"].is_number() && found["fault"].is_null() && message.is_empty(), "{found} {message}");
     assert!(found["valid_percent"].as_f64().expect("a number") > 80.0, "{found}");
     let [cones, other] = ["im2.png", "im6.png"].map(|name| text(&data.join("mid2003_cones").join(name)));
-    let (found, message) = summary(scratch.path(), &["stereo", &other, &cones]);
+    let output = sparrowhawk(&["stereo", &other, &cones]);
+    let message = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(!output.status.success() && message.contains("swapped") && message.contains("im6.png"), "{message}");
+    let (found, message) = summary(scratch.path(), &["stereo", &other, &cones, "--force"]);
     assert!(found["fault"].as_str().expect("a fault").contains("swapped"), "{found}");
     assert!(message.contains("WARNING"), "{message}");
     let output = sparrowhawk(&["stereo", &cones, &cones, "--calib", &calib]);

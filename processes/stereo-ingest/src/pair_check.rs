@@ -3,7 +3,8 @@
 //! Blindness (covered, black, saturated) is seen in a frame's statistics. Swapped images and rows that do not match are
 //! seen by following a textured patch of each frame into the other image: votes of the last few dozen decide. Such a pair
 //! must not be matched: what would be found is not there. Rows less than 3/4 px apart pass, as many real rigs' are; so do
-//! those more than 7 px apart, of which hardly anything matches. Until there are a dozen votes nothing is said.
+//! those more than 7 px apart, of which hardly anything matches. Until there are a dozen votes nothing is said; most first
+//! frames give so many at once.
 
 use ipc_types::StereoRig;
 
@@ -56,6 +57,8 @@ pub struct PairCheck {
     /// The last votes: column shift and row shift, px.
     votes: [Vote; MEMORY],
     count: usize,
+    /// Patches followed so far.
+    followed: usize,
 }
 
 #[derive(Clone, Copy, Debug, Default)]
@@ -68,7 +71,9 @@ struct Vote {
 const MEMORY: usize = 48;
 /// Fewer decide nothing.
 const QUORUM: usize = 12;
-/// Places looked at in each frame for a patch to follow; following one takes long enough.
+/// Patches followed as fast as they come, before one a frame must do; following one takes long enough.
+const EAGER: usize = 3 * QUORUM;
+/// Places looked at in each frame for a patch to follow.
 const PROBES: usize = 24;
 /// Half of a patch's side, px.
 const HALF: usize = 4;
@@ -88,6 +93,7 @@ impl PairCheck {
             probe: 0,
             votes: [Vote::default(); MEMORY],
             count: 0,
+            followed: 0,
         }
     }
 
@@ -100,7 +106,13 @@ impl PairCheck {
             (false, true) => Some(PairFault::RightBlind),
             _ if a.texture.max(b.texture) > 3.0 * a.texture.min(b.texture) + 1.0 => Some(PairFault::Unequal),
             _ => {
-                let _ = (0..PROBES).find(|_| self.follow_next(left, right));
+                // The first frames must not be trusted for want of votes.
+                let patches = EAGER.saturating_sub(self.followed).max(1);
+                for _ in 0..patches {
+                    if !(0..PROBES).any(|_| self.follow_next(left, right)) || self.count == QUORUM {
+                        break;
+                    }
+                }
                 self.verdict()
             }
         }
@@ -120,6 +132,7 @@ impl PairCheck {
         let x = margin + ((place * 0.754_877_666).fract() * columns as f64) as usize;
         let y = margin + ((place * 0.569_840_291).fract() * rows as f64) as usize;
         let Some(patch) = Patch::at(left, self.width, x, y).filter(Patch::is_corner) else { return false };
+        self.followed += 1;
         if let Some(vote) = self.follow(&patch, right, x, y) {
             self.votes[self.count % MEMORY] = vote;
             self.count += 1;
@@ -319,6 +332,15 @@ mod tests {
         assert_eq!(verdict(&[0; WIDTH * HEIGHT], &[0; WIDTH * HEIGHT]), Some(PairFault::BothBlind));
         let fogged: Vec<u8> = right.iter().map(|&p| 100 + p / 8).collect();
         assert_eq!(verdict(&left, &fogged), Some(PairFault::Unequal));
+    }
+
+    #[test]
+    fn the_first_frame_is_judged_already() {
+        let (left, right) = pair();
+        assert_eq!(PairCheck::new(&RIG, 64).step(&right, &left), Some(PairFault::Swapped));
+        let lower = [&right[WIDTH..], &right[..WIDTH]].concat();
+        assert_eq!(PairCheck::new(&RIG, 64).step(&left, &lower), Some(PairFault::RowsShifted));
+        assert_eq!(PairCheck::new(&RIG, 64).step(&left, &right), None);
     }
 
     #[test]

@@ -63,17 +63,22 @@ fn read_image(path: &Path) -> Result<DynamicImage, PairError> {
     reader.decode().map_err(|source| PairError::Image { path: path.display().to_string(), source })
 }
 
-/// An image as 8-bit grey. 16-bit files must use their range: 10- to 14-bit data would come out dark.
-fn read_grey(path: &Path) -> Result<image::GrayImage, PairError> {
-    let image = read_image(path)?;
-    if image.color().bytes_per_pixel() / image.color().channel_count() > 1 {
-        let brightest = image.to_luma16().pixels().map(|Luma([value])| *value).max().unwrap_or(0);
-        if (1..1 << 14).contains(&brightest) {
-            let problem = format!("is a 16-bit image with no value above {brightest}; expected data scaled to 16 bits");
-            return Err(unusable(path, problem));
-        }
+/// Both images as 8-bit grey. 16-bit files hold 8 to 16 bits, as many as the brightest pixel of either needs: they are
+/// scaled alike, so that what differs between the cameras goes on to differ.
+fn read_grey(left: &Path, right: &Path) -> Result<[image::GrayImage; 2], PairError> {
+    let images = [read_image(left)?, read_image(right)?];
+    let is_deep = |image: &DynamicImage| image.color().bytes_per_pixel() / image.color().channel_count() > 1;
+    if !images.iter().any(is_deep) {
+        return Ok(images.map(DynamicImage::into_luma8));
     }
-    Ok(image.into_luma8())
+    let deep = images.map(DynamicImage::into_luma16);
+    let brightest = deep.iter().flat_map(|image| image.as_raw()).copied().max().unwrap_or(0);
+    let bits = [8, 10, 12, 14].into_iter().find(|bits| brightest >> bits == 0).unwrap_or(16);
+    let level = |value: u16| (value >> (bits - 8)) as u8;
+    Ok(deep.map(|image| {
+        let (width, height) = image.dimensions();
+        image::GrayImage::from_fn(width, height, |column, row| Luma([level(image.get_pixel(column, row).0[0])]))
+    }))
 }
 
 /// A pair of equal size, converted to 8-bit grey.
@@ -93,7 +98,7 @@ impl StereoPair {
     /// # Errors
     /// A file is missing or damaged, or the images differ in size.
     pub fn load(left: &Path, right: &Path) -> Result<Self, PairError> {
-        let (left_image, right_image) = (read_grey(left)?, read_grey(right)?);
+        let [left_image, right_image] = read_grey(left, right)?;
         let (size, other) = (left_image.dimensions(), right_image.dimensions());
         if size != other {
             let problem =
@@ -234,6 +239,24 @@ pub fn save_disparity(path: &Path, width_px: u32, height_px: u32, disparity: &[u
 mod tests {
     use super::*;
     use ipc_types::disparity::encode;
+
+    #[test]
+    fn deep_images_are_scaled_alike_whatever_their_bits() {
+        let folder = std::env::temp_dir().join(format!("sparrowhawk-deep-{}", std::process::id()));
+        fs::create_dir_all(&folder).expect("writable");
+        let (left, right) = (folder.join("left.png"), folder.join("right.png"));
+        let save = |path: &Path, pixels: [u16; 4]| {
+            let image = image::ImageBuffer::<Luma<u16>, _>::from_raw(4, 1, pixels.to_vec()).expect("of that size");
+            image.save(path).expect("written");
+        };
+        for bits in [8, 10, 12, 14, 16] {
+            save(&left, [1, 20, 150, 255].map(|level: u16| level << (bits - 8)));
+            save(&right, [1, 10, 75, 128].map(|level: u16| level << (bits - 8)));
+            let pair = StereoPair::load(&left, &right).expect("read");
+            assert_eq!(pair.pixels, [1, 20, 150, 255, 1, 10, 75, 128], "{bits} bits");
+        }
+        fs::remove_dir_all(&folder).expect("removable");
+    }
 
     #[test]
     fn disparity_files_round_trip() {

@@ -95,7 +95,7 @@ pub fn calibrate(board: &Board, views: &[BoardView], size: (u32, u32)) -> Result
     }
     parameters.extend(to_six(&median_pose(relative)));
     boards.iter().for_each(|pose| parameters.extend(to_six(pose)));
-    let problem = Problem { corners, views, size };
+    let problem = Problem { corners, views, size, given: None };
     let (parameters, rms_px) = problem.solve(DVector::from_vec(parameters), 0);
     Ok(problem.solution(&parameters, rms_px))
 }
@@ -103,33 +103,25 @@ pub fn calibrate(board: &Board, views: &[BoardView], size: (u32, u32)) -> Result
 /// How well given cameras explain the views: only the boards' poses are solved for.
 ///
 /// # Errors
-/// The distortion is of another kind than radial-tangential with five coefficients, or a board's corners lie on a line.
+/// A board is seen where the left lens does not reach, or its corners lie on a line.
 pub fn check(board: &Board, views: &[BoardView], calibration: &StereoCalibration) -> Result<Solution, String> {
     let corners = board.corners();
-    let mut parameters = Vec::new();
-    for lens in [&calibration.left, &calibration.right] {
-        let k = match lens.distortion {
-            Distortion::None => [0.0; 8],
-            Distortion::RadialTangential(k) if k[5..] == [0.0; 3] => k,
-            other => {
-                return Err(format!(
-                    "boards can check radial-tangential lenses with up to 5 coefficients, not {other:?}"
-                ));
-            }
-        };
-        parameters.extend([lens.focal_px[0], lens.focal_px[1], lens.centre_px[0], lens.centre_px[1]]);
-        parameters.extend(&k[..5]);
-    }
+    // The lenses' parameters stand still; what holds their place is not looked at.
+    let mut parameters = vec![0.0; 2 * LENS];
     let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix(&calibration.rotation()));
     parameters.extend(to_six(&Isometry3::from_parts(Translation3::from(calibration.translation_m), rotation)));
     let lens = &calibration.left;
+    let focal = (lens.focal_px[0] + lens.focal_px[1]) / 2.0;
     for view in views {
-        let focal = (lens.focal_px[0] + lens.focal_px[1]) / 2.0;
-        let homography =
-            homography(&corners, &view.left, lens.centre_px).ok_or("the corners of a board lie on a line")?;
+        // Where a pinhole would see the corners: a fisheye's image of a board is far from a homography's.
+        let straight = |seen: &Pixel| Some(lens.unproject(*seen)?.map(|ray| ray * focal));
+        let seen: Option<Vec<Pixel>> = view.left.iter().map(straight).collect();
+        let seen = seen.ok_or("the calibration's left lens does not reach to where a board is seen")?;
+        let homography = homography(&corners, &seen, [0.0; 2]).ok_or("the corners of a board lie on a line")?;
         parameters.extend(to_six(&pose(&homography, focal)));
     }
-    let problem = Problem { corners, views, size: (lens.width_px, lens.height_px) };
+    let size = (lens.width_px, lens.height_px);
+    let problem = Problem { corners, views, size, given: Some(calibration) };
     let (parameters, rms_px) = problem.solve(DVector::from_vec(parameters), CAMERAS);
     Ok(problem.solution(&parameters, rms_px))
 }
@@ -138,12 +130,14 @@ struct Problem<'a> {
     corners: Vec<Vector3<f64>>,
     views: &'a [BoardView],
     size: (u32, u32),
+    /// Cameras that are not solved for.
+    given: Option<&'a StereoCalibration>,
 }
 
 impl Problem<'_> {
     /// Differences between predicted and seen corners, both coordinates, both cameras.
     fn residuals(&self, parameters: &DVector<f64>) -> DVector<f64> {
-        let lenses = [0, 1].map(|side| self.lens(&parameters.as_slice()[side * LENS..(side + 1) * LENS]));
+        let lenses = self.lenses(parameters.as_slice());
         let right_from_left = from_six(&parameters.as_slice()[2 * LENS..CAMERAS]);
         let mut residuals = Vec::with_capacity(self.views.len() * self.corners.len() * 4);
         for (view, pose) in self.views.iter().zip(parameters.as_slice()[CAMERAS..].chunks_exact(6)) {
@@ -159,6 +153,14 @@ impl Problem<'_> {
             }
         }
         DVector::from_vec(residuals)
+    }
+
+    /// Both cameras of a set of parameters.
+    fn lenses(&self, parameters: &[f64]) -> [Lens; 2] {
+        match self.given {
+            Some(given) => [given.left, given.right],
+            None => [0, 1].map(|side| self.lens(&parameters[side * LENS..(side + 1) * LENS])),
+        }
     }
 
     fn lens(&self, parameters: &[f64]) -> Lens {
@@ -228,9 +230,10 @@ impl Problem<'_> {
         let all = parameters.as_slice();
         let pose = from_six(&all[2 * LENS..CAMERAS]);
         let rotation = pose.rotation.to_rotation_matrix();
+        let [left, right] = self.lenses(all);
         let calibration = StereoCalibration {
-            left: self.lens(&all[..LENS]),
-            right: self.lens(&all[LENS..2 * LENS]),
+            left,
+            right,
             rotation: [0, 1, 2].map(|row| [0, 1, 2].map(|column| rotation[(row, column)])),
             translation_m: pose.translation.vector.into(),
         };
@@ -316,6 +319,23 @@ fn pose(homography: &Matrix3<f64>, focal: f64) -> Isometry3<f64> {
 mod tests {
     use super::*;
 
+    /// Ten boards, seen from both cameras.
+    fn views(board: &Board, [left, right]: [Lens; 2], right_from_left: Isometry3<f64>) -> Vec<BoardView> {
+        let see = |lens: &Lens, from_board: Isometry3<f64>| {
+            let place = |corner: &Vector3<f64>| from_board.rotation * corner + from_board.translation.vector;
+            board.corners().iter().map(|corner| lens.project(place(corner)).expect("in view")).collect()
+        };
+        let view = |index: u32| {
+            let turn = f64::from(index);
+            let pose = Isometry3::new(
+                Vector3::new(-0.12 + 0.02 * (turn * 1.3).sin(), -0.07 + 0.03 * turn.cos(), 0.45 + 0.05 * turn),
+                Vector3::new(0.5 * (turn * 0.9).sin(), 0.5 * (turn * 1.7).cos(), 0.2 * turn.sin()),
+            );
+            BoardView { left: see(&left, pose), right: see(&right, right_from_left * pose) }
+        };
+        (0..10).map(view).collect()
+    }
+
     #[test]
     fn known_cameras_are_found_again() {
         let board = Board { columns: 9, rows: 6, square_m: 0.03 };
@@ -329,26 +349,7 @@ mod tests {
         };
         let right = Lens { focal_px: [536.0, 535.0], centre_px: [314.0, 244.0], ..left };
         let right_from_left = Isometry3::new(Vector3::new(-0.1, 0.001, 0.002), Vector3::new(0.004, -0.02, 0.006));
-        let views: Vec<BoardView> = (0..10)
-            .map(|index| {
-                let turn = f64::from(index);
-                let pose = Isometry3::new(
-                    Vector3::new(-0.12 + 0.02 * (turn * 1.3).sin(), -0.07 + 0.03 * turn.cos(), 0.45 + 0.05 * turn),
-                    Vector3::new(0.5 * (turn * 0.9).sin(), 0.5 * (turn * 1.7).cos(), 0.2 * turn.sin()),
-                );
-                let see = |lens: &Lens, from_board: Isometry3<f64>| {
-                    board
-                        .corners()
-                        .iter()
-                        .map(|corner| {
-                            lens.project(from_board * nalgebra::Point3::from(*corner) - nalgebra::Point3::origin())
-                                .expect("in view")
-                        })
-                        .collect()
-                };
-                BoardView { left: see(&left, pose), right: see(&right, right_from_left * pose) }
-            })
-            .collect();
+        let views = views(&board, [left, right], right_from_left);
         let solution = calibrate(&board, &views, (640, 480)).expect("solved");
         assert!(solution.rms_px < 1e-4, "{}", solution.rms_px);
         let found = solution.calibration;
@@ -365,5 +366,29 @@ mod tests {
         let wrong = StereoCalibration { left: Lens { focal_px: [560.0, 560.0], ..found.left }, ..found };
         assert!(check(&board, &views, &wrong).expect("checked").rms_px > 0.5);
         assert!(calibrate(&board, &views[..2], (640, 480)).is_err());
+    }
+
+    #[test]
+    fn lenses_of_every_kind_can_be_checked() {
+        let board = Board { columns: 9, rows: 6, square_m: 0.03 };
+        let rational = Distortion::RadialTangential([0.3, -0.1, 0.0005, -0.0003, 0.01, 0.55, -0.02, 0.01]);
+        for distortion in [Distortion::None, Distortion::Equidistant([0.01, -0.004, 0.002, -0.0005]), rational] {
+            let left =
+                Lens { width_px: 640, height_px: 480, focal_px: [290.0, 291.0], centre_px: [321.0, 238.0], distortion };
+            let right = Lens { centre_px: [317.0, 243.0], ..left };
+            let right_from_left = Isometry3::new(Vector3::new(-0.1, 0.001, 0.002), Vector3::new(0.004, -0.02, 0.006));
+            let rotation = right_from_left.rotation.to_rotation_matrix();
+            let given = StereoCalibration {
+                left,
+                right,
+                rotation: [0, 1, 2].map(|row| [0, 1, 2].map(|column| rotation[(row, column)])),
+                translation_m: right_from_left.translation.vector.into(),
+            };
+            let views = views(&board, [left, right], right_from_left);
+            let checked = check(&board, &views, &given).expect("checked");
+            assert!(checked.rms_px < 1e-4, "{distortion:?}: {}", checked.rms_px);
+            let wrong = StereoCalibration { translation_m: [-0.105, 0.001, 0.002], ..given };
+            assert!(check(&board, &views, &wrong).expect("checked").rms_px > 0.3, "{distortion:?}");
+        }
     }
 }

@@ -262,10 +262,19 @@ struct OpenCv {
     rotation: Option<Matrix>,
     #[serde(alias = "T")]
     translation: Option<Matrix>,
+    /// Where the file says it: `fisheye` and `equidistant` are one; four coefficients alone could be either model.
+    #[serde(alias = "model", alias = "camera_model")]
+    distortion_model: Option<String>,
+    #[serde(alias = "imageWidth", alias = "width")]
+    image_width: Option<u32>,
+    #[serde(alias = "imageHeight", alias = "height")]
+    image_height: Option<u32>,
+    #[serde(alias = "imageSize", alias = "img_size")]
+    image_size: Option<[u32; 2]>,
 }
 
 /// OpenCV's `stereo_calib`: one file, or intrinsics and extrinsics apart; what the first has, the second does not change.
-/// They do not tell the images' size.
+/// Most do not tell the images' size; one that does must be for this one.
 pub(super) fn open_cv(files: &[&str], size: Option<(u32, u32)>) -> Result<StereoCalibration, String> {
     let mut all = OpenCv::default();
     for text in files {
@@ -276,9 +285,16 @@ pub(super) fn open_cv(files: &[&str], size: Option<(u32, u32)>) -> Result<Stereo
         all.right_distortion = all.right_distortion.or(file.right_distortion);
         all.rotation = all.rotation.or(file.rotation);
         all.translation = all.translation.or(file.translation);
+        all.distortion_model = all.distortion_model.or(file.distortion_model);
+        all.image_size = all.image_size.or(file.image_size);
+        all.image_size =
+            all.image_size.or(file.image_width.zip(file.image_height).map(|(width, height)| [width, height]));
     }
+    let told = all.image_size.map(|[width, height]| (width, height));
     let (width_px, height_px) =
-        size.ok_or("does not tell the images' size; it can only be read together with images")?;
+        told.or(size).ok_or("does not tell the images' size; it can only be read together with images")?;
+    let model = all.distortion_model.map(|model| model.to_lowercase()).filter(|model| model != "pinhole");
+    let model = model.unwrap_or_else(|| "radial-tangential".to_owned());
     let lens = |matrix: Option<Matrix>, distortion: Option<Matrix>, name: [&str; 2]| -> Result<Lens, String> {
         let intrinsics = matrix.ok_or(format!("has no {}", name[0]))?.to_3x3(name[0])?;
         Ok(Lens {
@@ -286,7 +302,7 @@ pub(super) fn open_cv(files: &[&str], size: Option<(u32, u32)>) -> Result<Stereo
             height_px,
             focal_px: [intrinsics[(0, 0)], intrinsics[(1, 1)]],
             centre_px: [intrinsics[(0, 2)], intrinsics[(1, 2)]],
-            distortion: radial_tangential(&distortion.ok_or(format!("has no {}", name[1]))?.data)?,
+            distortion: self::distortion(&model, &distortion.ok_or(format!("has no {}", name[1]))?.data)?,
         })
     };
     let left = lens(all.left_matrix, all.left_distortion, ["M1 (cameraMatrix1)", "D1 (distCoeffs1)"])?;
