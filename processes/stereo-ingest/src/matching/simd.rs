@@ -89,6 +89,8 @@ pub(crate) trait Lanes: Copy + Send + 'static {
     fn take_above(self, after: Self) -> Self;
     /// The smallest lane, in every lane.
     fn least(self) -> Self;
+    /// The first lane.
+    fn first(self) -> u8;
     /// Bit i is set where lane i is equal.
     fn equal(self, other: Self) -> u64;
 }
@@ -182,6 +184,10 @@ impl Lanes for Portable {
             }
         }
         Self([least[0]; 16])
+    }
+    #[inline(always)]
+    fn first(self) -> u8 {
+        self.0[0]
     }
     #[inline(always)]
     fn equal(self, other: Self) -> u64 {
@@ -318,6 +324,10 @@ mod x86 {
             }))
         }
         #[inline(always)]
+        fn first(self) -> u8 {
+            intrinsic!(_mm_cvtsi128_si32(_mm256_castsi256_si128(self.0))) as u8
+        }
+        #[inline(always)]
         fn equal(self, other: Self) -> u64 {
             u64::from(intrinsic!(_mm256_movemask_epi8(_mm256_cmpeq_epi8(self.0, other.0))) as u32)
         }
@@ -406,6 +416,10 @@ mod x86 {
                 let quarter = _mm_min_epu8(_mm256_castsi256_si128(half), _mm256_extracti128_si256::<1>(half));
                 _mm512_broadcastb_epi8(least_of_16(quarter))
             }))
+        }
+        #[inline(always)]
+        fn first(self) -> u8 {
+            intrinsic!(_mm_cvtsi128_si32(_mm512_castsi512_si128(self.0))) as u8
         }
         #[inline(always)]
         fn equal(self, other: Self) -> u64 {

@@ -76,6 +76,7 @@ const ROWS: usize = 2;
 #[derive(Debug)]
 pub(crate) struct Strip<S, const K: usize> {
     weights: Weights,
+    uniqueness: Uniqueness,
     /// Lanes beyond the range are raised to 255.
     beyond: [S; K],
     /// Costs of the rows under the window.
@@ -99,6 +100,7 @@ impl<S: Lanes, const K: usize> Strip<S, K> {
         beyond[weights.range..].fill(u8::MAX);
         Self {
             weights,
+            uniqueness: Uniqueness::new(&weights),
             beyond: std::array::from_fn(|k| S::load(&beyond[k * S::COUNT..])),
             ring: vec![zero; width * weights.window],
             oldest: 0,
@@ -236,7 +238,7 @@ impl<S: Lanes, const K: usize> Strip<S, K> {
             for (costs, winners) in self.costs[..N].iter().zip(&mut self.winners) {
                 for (x, cost) in costs.iter().enumerate() {
                     let (sums, out) = winners.pixel(x);
-                    *out = choose(cost, &self.weights, sums);
+                    *out = choose(cost, &self.uniqueness, sums);
                 }
             }
             return;
@@ -280,7 +282,7 @@ impl<S: Lanes, const K: usize> Strip<S, K> {
     /// The paths from the left and from above, the sum of all, and the winners.
     #[inline(always)]
     fn aggregate<const N: usize>(&mut self) {
-        let (penalties, weights) = (Penalties::<S>::new(&self.weights), self.weights);
+        let penalties = Penalties::<S>::new(&self.weights);
         let mut paths = [Path::start(); N];
         let [straight, ..] = &mut self.from_above;
         for (x, above) in straight.iter_mut().enumerate() {
@@ -291,7 +293,7 @@ impl<S: Lanes, const K: usize> Strip<S, K> {
                 *above = down.relative();
                 let (sums, out) = self.winners[index].pixel(x);
                 let all = sum(sum(path.costs, down.costs), self.from_right[index][x]);
-                *out = choose(&all, &weights, sums);
+                *out = choose(&all, &self.uniqueness, sums);
             }
         }
     }
@@ -377,35 +379,53 @@ fn replace<S: Lanes>(column: &mut S, old: &mut S, new: S) {
 /// The disparity of the least sum, [`AMBIGUOUS`] added where another one elsewhere is nearly as good. The sums are
 /// written to `bytes`.
 #[inline(always)]
-fn choose<S: Lanes, const K: usize>(sums: &[S; K], weights: &Weights, bytes: &mut [u8]) -> u16 {
+fn choose<S: Lanes, const K: usize>(sums: &[S; K], uniqueness: &Uniqueness, bytes: &mut [u8]) -> u16 {
     let mut smallest = sums[0];
     for k in 0..K {
         sums[k].store(&mut bytes[k * S::COUNT..]);
         smallest = smallest.min(sums[k]);
     }
     let least = smallest.least();
+    let mut good = [0; K];
     let mut disparity = 0;
     for k in (0..K).rev() {
-        let mask = sums[k].equal(least);
-        if K == 1 || mask != 0 {
-            disparity = k * S::COUNT + mask.trailing_zeros() as usize;
+        good[k] = sums[k].equal(least);
+        if K == 1 || good[k] != 0 {
+            disparity = k * S::COUNT + good[k].trailing_zeros() as usize;
         }
     }
-    let unique = is_unique(sums, weights, bytes, disparity);
-    disparity as u16 | if unique { 0 } else { AMBIGUOUS }
+    if let Some(bounds) = &uniqueness.bounds {
+        let bound = S::splat(bounds[usize::from(least.first())]);
+        for (good, sum) in good.iter_mut().zip(sums) {
+            *good = sum.sub_saturating(bound).equal(S::splat(0));
+        }
+    }
+    disparity as u16 | if is_unique::<S, K>(&good, uniqueness.range, disparity) { 0 } else { AMBIGUOUS }
 }
 
-/// Whether no sum but the winner's neighbours' is within the share that uniqueness asks for. Where nothing is asked for, no
-/// other may be the same: where all are, as in front of a covered lens, the first would be taken for infinitely far.
+/// Whether nothing is good but the winner and its neighbours. Where no share is asked for, good is what is the same as the
+/// least: where all are, as in front of a covered lens, the first would be taken for infinitely far.
 #[inline(always)]
-fn is_unique<S: Lanes, const K: usize>(sums: &[S; K], weights: &Weights, bytes: &[u8], winner: usize) -> bool {
-    let bound = (u32::from(bytes[winner]) * (100 + weights.uniqueness_percent) / 100).min(254) as u8;
-    let (limit, zero) = (S::splat(bound), S::splat(0));
-    let mut rivals = 0;
-    for sum in sums {
-        rivals += sum.sub_saturating(limit).equal(zero).count_ones();
+fn is_unique<S: Lanes, const K: usize>(good: &[u64; K], range: usize, winner: usize) -> bool {
+    let is_good = |index: usize| good[index / S::COUNT] >> (index % S::COUNT) & 1;
+    let below = if winner > 0 { is_good(winner - 1) } else { 0 };
+    let above = if winner + 1 < range { is_good(winner + 1) } else { 0 };
+    let rivals: u32 = good.iter().map(|good| good.count_ones()).sum();
+    u64::from(rivals) == 1 + below + above
+}
+
+/// When a winner is the only one.
+#[derive(Debug)]
+struct Uniqueness {
+    range: usize,
+    /// By the least sum: up to what another one is as good; `None` where only the same sum is.
+    bounds: Option<Box<[u8; 256]>>,
+}
+
+impl Uniqueness {
+    fn new(weights: &Weights) -> Self {
+        let bound = |least: u32| (least * (100 + weights.uniqueness_percent) / 100).min(254) as u8;
+        let bounds = || Box::new(std::array::from_fn(|least| bound(least as u32)));
+        Self { range: weights.range, bounds: (weights.uniqueness_percent > 0).then(bounds) }
     }
-    let below = winner > 0 && bytes[winner - 1] <= bound;
-    let above = winner + 1 < weights.range && bytes[winner + 1] <= bound;
-    rivals == 1 + u32::from(below) + u32::from(above)
 }
