@@ -27,7 +27,7 @@ const NOBODY: u16 = u16::MAX;
 pub(crate) struct Winners {
     /// By column: the disparity of the least cost, perhaps with [`AMBIGUOUS`].
     winners: Vec<u16>,
-    /// Summed costs after a margin of [`AHEAD`], `stride` a column, of which `range` mean something.
+    /// Summed costs of the last few columns, `stride` each with a margin of [`AHEAD`] on both sides; `range` mean something.
     sums: Vec<u8>,
     stride: usize,
     range: usize,
@@ -41,13 +41,16 @@ pub(crate) struct Winners {
 
 /// Bytes before and after the sums, so that four bytes from the one below any winner can be read.
 const AHEAD: usize = 4;
+/// Columns whose sums are kept. They are looked at when half as many more have been written: a read right after the write
+/// would have to wait for it, and sums of a whole row would not stay in the nearest cache.
+const KEPT: usize = 8;
 
 impl Winners {
     pub(crate) fn new(width: usize, stride: usize, range: usize) -> Self {
         Self {
             winners: vec![0; width],
-            sums: vec![u8::MAX; AHEAD + width * stride + AHEAD],
-            stride,
+            sums: vec![u8::MAX; KEPT * (AHEAD + stride + AHEAD)],
+            stride: AHEAD + stride + AHEAD,
             range,
             right: vec![0; MARGIN + width],
             around: vec![0; width],
@@ -55,25 +58,36 @@ impl Winners {
         }
     }
 
-    /// Where to put a column's sums and its winner.
+    /// Where to put a column's sums and its winner, column by column from the first on.
     #[inline(always)]
     pub(crate) fn pixel(&mut self, x: usize) -> (&mut [u8], &mut u16) {
-        (&mut self.sums[AHEAD + x * self.stride..][..self.stride], &mut self.winners[x])
+        if x >= KEPT / 2 {
+            self.look_around(x - KEPT / 2);
+        }
+        let start = (x % KEPT) * self.stride + AHEAD;
+        (&mut self.sums[start..start + self.stride - 2 * AHEAD], &mut self.winners[x])
+    }
+
+    /// Keeps the sums below, at and above a column's winner.
+    #[inline(always)]
+    fn look_around(&mut self, x: usize) {
+        let disparity = usize::from(self.winners[x] & !AMBIGUOUS);
+        let bytes = self.sums[(x % KEPT) * self.stride + AHEAD - 1 + disparity..].first_chunk();
+        self.around[x] = u32::from_le_bytes(bytes.copied().unwrap_or_default());
     }
 
     /// Writes the row's disparities. Right columns that are not zero in `blank` have no texture: a match with one is
     /// none, since smoothness alone put it there.
     #[inline(always)]
     pub(crate) fn finish(&mut self, rules: Consistency, blank: &[u16], out: &mut [u16]) {
+        let width = self.winners.len();
+        (width.saturating_sub(KEPT / 2)..width).for_each(|x| self.look_around(x));
         self.right.fill(NOBODY);
-        let mut start = AHEAD - 1;
-        for (x, (&winner, around)) in self.winners.iter().zip(&mut self.around).enumerate() {
-            let disparity = usize::from(winner & !AMBIGUOUS);
-            let bytes = self.sums[start + disparity..].first_chunk().copied().unwrap_or_default();
-            start += self.stride;
-            *around = u32::from_le_bytes(bytes);
-            let right = &mut self.right[MARGIN + x - disparity];
-            *right = (*right).min(u16::from(bytes[1]) << 8 | disparity as u16);
+        for (x, (&winner, &around)) in self.winners.iter().zip(&self.around).enumerate() {
+            let disparity = winner & !AMBIGUOUS;
+            let [_, cost, ..] = around.to_le_bytes();
+            let right = &mut self.right[MARGIN + x - usize::from(disparity)];
+            *right = (*right).min(u16::from(cost) << 8 | disparity);
         }
         for (right, &blank) in self.right[MARGIN..].iter_mut().zip(blank) {
             *right = if blank == 0 { *right } else { NOBODY };
