@@ -70,7 +70,7 @@ impl Features {
 }
 
 /// Rows in hand at a time: each step along a row waits for the step before, and meanwhile the other row's is taken.
-const ROWS: usize = 2;
+const ROWS: usize = 4;
 
 /// Buffers of one strip.
 #[derive(Debug)]
@@ -133,7 +133,8 @@ impl<S: Lanes, const K: usize> Strip<S, K> {
         (first..first + 2 * half).for_each(|row| self.take_in(features, inside(row)));
         let mut row = first;
         while row < rows.end {
-            let count = if row + 1 == rows.start || row + 1 == rows.end { 1 } else { ROWS };
+            let left = if row < rows.start { rows.start - row } else { rows.end - row };
+            let count = [4, 2, 1].into_iter().find(|count| *count <= left).unwrap_or(1);
             for index in 0..count {
                 self.take_in(features, inside(row + index + 2 * half));
                 self.average(index);
@@ -141,8 +142,10 @@ impl<S: Lanes, const K: usize> Strip<S, K> {
             match (count, row < rows.start) {
                 (1, false) => self.decide::<1>(),
                 (1, true) => self.settle::<1>(),
-                (_, false) => self.decide::<2>(),
-                (_, true) => self.settle::<2>(),
+                (2, false) => self.decide::<2>(),
+                (2, true) => self.settle::<2>(),
+                (_, false) => self.decide::<4>(),
+                (_, true) => self.settle::<4>(),
             }
             if row >= rows.start {
                 for (index, winners) in self.winners[..count].iter_mut().enumerate() {
@@ -247,7 +250,8 @@ impl<S: Lanes, const K: usize> Strip<S, K> {
         if self.weights.paths > 3 {
             (0..N).for_each(|index| self.diagonals(index));
         }
-        self.aggregate::<N>();
+        self.follow_from_left::<N>();
+        (0..N).for_each(|index| self.aggregate(index));
     }
 
     #[inline(always)]
@@ -279,22 +283,30 @@ impl<S: Lanes, const K: usize> Strip<S, K> {
         }
     }
 
-    /// The paths from the left and from above, the sum of all, and the winners.
+    /// Adds the path from the left to the one from the right.
     #[inline(always)]
-    fn aggregate<const N: usize>(&mut self) {
+    fn follow_from_left<const N: usize>(&mut self) {
         let penalties = Penalties::<S>::new(&self.weights);
         let mut paths = [Path::start(); N];
-        let [straight, ..] = &mut self.from_above;
-        for (x, above) in straight.iter_mut().enumerate() {
-            for (index, path) in paths.iter_mut().enumerate() {
-                let cost = self.costs[index][x];
-                *path = penalties.advance(cost, *path);
-                let down = penalties.advance_relative(cost, *above);
-                *above = down.relative();
-                let (sums, out) = self.winners[index].pixel(x);
-                let all = sum(sum(path.costs, down.costs), self.from_right[index][x]);
-                *out = choose(&all, &self.uniqueness, sums);
+        for x in 0..self.columns.len() {
+            for (path, (costs, sums)) in paths.iter_mut().zip(self.costs.iter().zip(&mut self.from_right)) {
+                *path = penalties.advance(costs[x], *path);
+                sums[x] = sum(sums[x], path.costs);
             }
+        }
+    }
+
+    /// The path from above, the sum of all, and the winners of a row in hand. No column waits for another.
+    #[inline(always)]
+    fn aggregate(&mut self, index: usize) {
+        let penalties = Penalties::<S>::new(&self.weights);
+        let [straight, ..] = &mut self.from_above;
+        let cells = straight.iter_mut().zip(&self.costs[index]).zip(&self.from_right[index]);
+        for (x, ((above, cost), others)) in cells.enumerate() {
+            let down = penalties.advance_relative(*cost, *above);
+            *above = down.relative();
+            let (sums, out) = self.winners[index].pixel(x);
+            *out = choose(&sum(down.costs, *others), &self.uniqueness, sums);
         }
     }
 }
