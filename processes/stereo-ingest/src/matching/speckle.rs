@@ -5,6 +5,7 @@
 //! enough disparities), not pixel by pixel.
 
 use ipc_types::disparity::{NO_MATCH, SCALE, is_valid};
+use memchr::memchr;
 
 /// What is too small to keep.
 #[derive(Clone, Copy, Debug)]
@@ -43,11 +44,18 @@ pub(crate) struct Speckles {
     width: usize,
     runs: Vec<Run>,
     rows: Vec<usize>,
+    /// Of the row in hand: 1 where a pixel belongs to its left neighbour's run, and a 0 behind the last.
+    goes_on: Vec<u8>,
 }
 
 impl Speckles {
     pub(crate) fn new(width: usize, height: usize) -> Self {
-        Self { width, runs: Vec::with_capacity(width * height), rows: Vec::with_capacity(height + 1) }
+        Self {
+            width,
+            runs: Vec::with_capacity(width * height),
+            rows: Vec::with_capacity(height + 1),
+            goes_on: vec![0; width + 1],
+        }
     }
 
     /// Replaces areas that are too small, within which neighbours differ by at most `step` (fixed point), by
@@ -80,19 +88,17 @@ impl Speckles {
 
     /// Cuts a row into runs.
     fn add_runs(&mut self, row: &[u16], step: u16) {
+        for ((goes_on, &pixel), &before) in self.goes_on[1..].iter_mut().zip(&row[1..]).zip(row) {
+            *goes_on = u8::from(is_valid(before) & is_valid(pixel) & (pixel.abs_diff(before) <= step));
+        }
         let mut x = 0;
         while x < row.len() {
-            if !is_valid(row[x]) {
-                x += 1;
+            let start = x;
+            x += 1 + memchr(0, &self.goes_on[x + 1..]).unwrap_or_default();
+            if !is_valid(row[start]) {
                 continue;
             }
-            let start = x;
-            let mut sum = u64::from(row[x]);
-            x += 1;
-            while x < row.len() && is_valid(row[x]) && row[x].abs_diff(row[x - 1]) <= step {
-                sum += u64::from(row[x]);
-                x += 1;
-            }
+            let sum = row[start..x].iter().map(|&pixel| u64::from(pixel)).sum();
             let parent = self.runs.len() as u32;
             self.runs.push(Run { start: start as u32, end: x as u32, parent, pixels: (x - start) as u32, sum });
         }

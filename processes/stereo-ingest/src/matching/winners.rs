@@ -6,7 +6,7 @@ use ipc_types::disparity::{MINIMUM, NO_MATCH, SCALE};
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Consistency {
     /// Largest difference between a match and the one that the right pixel prefers, px.
-    pub(crate) left_right_px: u32,
+    pub(crate) left_right_px: u16,
     /// Longest run of inconsistent pixels that may keep their winners, if these continue both neighbours.
     pub(crate) bridge_px: usize,
 }
@@ -35,6 +35,8 @@ pub(crate) struct Winners {
     right: Vec<u16>,
     /// Bytes from the lowest: the sums below, at and above the winner.
     around: Vec<u32>,
+    /// What the right column prefers that the winner points to, as in `right`.
+    opposite: Vec<u16>,
     /// Disparities of all winners, consistent or not.
     found: Vec<u16>,
 }
@@ -54,6 +56,7 @@ impl Winners {
             range,
             right: vec![0; MARGIN + width],
             around: vec![0; width],
+            opposite: vec![0; width],
             found: vec![NO_MATCH; width],
         }
     }
@@ -99,14 +102,18 @@ impl Winners {
             let inside = disparity > 0 && disparity < last && below != u8::MAX && above != u8::MAX;
             *found = fixed_point(disparity, below, cost, above, inside);
         }
-        for (x, ((&winner, found), out)) in self.winners.iter().zip(&mut self.found).zip(out.iter_mut()).enumerate() {
+        // Looked up apart from what follows, so that only this takes the columns one by one.
+        for (x, (&winner, opposite)) in self.winners.iter().zip(&mut self.opposite).enumerate() {
+            *opposite = self.right[MARGIN + x - usize::from(winner & !AMBIGUOUS)];
+        }
+        let columns = self.winners.iter().zip(&self.opposite).zip(&mut self.found).zip(out.iter_mut());
+        for (x, (((&winner, &opposite), found), out)) in (0_u16..).zip(columns) {
             let disparity = winner & !AMBIGUOUS;
-            let preferred = self.right[MARGIN + x - usize::from(disparity)] & 0xff;
-            let consistent = u32::from(preferred.abs_diff(disparity)) <= rules.left_right_px;
+            let is_consistent = (opposite & 0xff).abs_diff(disparity) <= rules.left_right_px;
             // Bridging must not bring it back.
-            *found = if self.right[MARGIN + x - usize::from(disparity)] == NOBODY { NO_MATCH } else { *found };
-            let sound = consistent && winner < AMBIGUOUS;
-            *out = if sound && usize::from(disparity) <= x { *found } else { NO_MATCH };
+            *found = if opposite == NOBODY { NO_MATCH } else { *found };
+            let is_sound = is_consistent && winner < AMBIGUOUS && disparity <= x;
+            *out = if is_sound { *found } else { NO_MATCH };
         }
         if rules.bridge_px > 0 {
             self.bridge(rules.bridge_px, out);

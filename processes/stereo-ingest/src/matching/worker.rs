@@ -60,7 +60,7 @@ pub(super) fn worker(level: SimdLevel, width: usize, config: &Config) -> Box<dyn
 
 impl<S: Lanes, const K: usize> Worker<S, K> {
     fn boxed(width: usize, config: &Config, weights: Weights) -> Box<dyn Work> {
-        let rules = Consistency { left_right_px: config.left_right_px, bridge_px: config.bridge_px as usize };
+        let rules = Consistency { left_right_px: config.left_right_px as u16, bridge_px: config.bridge_px as usize };
         let strip = Strip::<S, K>::new(width, weights);
         let window = Window::new(width, S::COUNT);
         Box::new(Self {
