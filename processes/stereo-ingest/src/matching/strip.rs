@@ -4,7 +4,7 @@
 //! running sums, then followed along up to five paths (Hirschmüller 2008, eq. 13): from the right, from the left, from
 //! above, and from above on both diagonals. No path comes from below, so a row is finished when it is reached and no
 //! cost volume is kept: everything lies in the cache. A pixel's costs are `K` vectors of bytes; path costs are kept
-//! relative to their minimum, so they fit.
+//! relative to their minimum, so they fit. Loops over vectors are plain: a closure would not be inlined.
 
 use super::simd::Lanes;
 use super::winners::{AMBIGUOUS, Winners};
@@ -130,7 +130,9 @@ impl<S: Lanes, const K: usize> Strip<S, K> {
         let half = self.weights.window / 2;
         let inside = |row: usize| row.saturating_sub(half).min(features.height - 1);
         let first = rows.start - warm_up.min(rows.start);
-        (first..first + 2 * half).for_each(|row| self.take_in(features, inside(row)));
+        for row in first..first + 2 * half {
+            self.take_in(features, inside(row));
+        }
         let mut row = first;
         while row < rows.end {
             let left = if row < rows.start { rows.start - row } else { rows.end - row };
@@ -230,7 +232,9 @@ impl<S: Lanes, const K: usize> Strip<S, K> {
             }
         }
         if self.weights.paths > 3 {
-            (0..N).for_each(|index| self.diagonals(index));
+            for index in 0..N {
+                self.diagonals(index);
+            }
         }
     }
 
@@ -248,10 +252,14 @@ impl<S: Lanes, const K: usize> Strip<S, K> {
         }
         self.follow_from_right::<N>();
         if self.weights.paths > 3 {
-            (0..N).for_each(|index| self.diagonals(index));
+            for index in 0..N {
+                self.diagonals(index);
+            }
         }
         self.follow_from_left::<N>();
-        (0..N).for_each(|index| self.aggregate(index));
+        for index in 0..N {
+            self.aggregate(index);
+        }
     }
 
     #[inline(always)]
