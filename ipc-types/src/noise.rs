@@ -37,11 +37,8 @@ impl NoiseModel {
         bounds.range("far_px", self.far_px, 0.0..=500.0);
         bounds.range("near_px", self.near_px, 0.0..=1000.0);
         let ramp_px = self.near_px - self.far_px;
-        let focal_baseline = rig.focal_baseline_px_m() as f32;
-        let sigma_px = self.at(self.near_px, focal_baseline);
-        // What σ itself rises along the ramp, at most a share of 2/3 (see `margin_px`).
-        let steepest = 2.0 * self.lambda_near.max(self.lambda_far) * (sigma_px - self.sigma_px) / self.near_px;
-        let least_px = (self.lambda_near - self.lambda_far).abs() * sigma_px / (1.0 - steepest.min(2.0 / 3.0));
+        let sigma_px = self.at(self.near_px, rig.focal_baseline_px_m() as f32);
+        let least_px = (self.lambda_near - self.lambda_far).abs() * sigma_px;
         bounds.require(
             ramp_px > least_px,
             "near_px",
@@ -62,13 +59,20 @@ impl NoiseModel {
         self.sigma_px + self.sigma_m * disparity_px * disparity_px / focal_baseline
     }
 
-    /// λσ at a disparity, px: the half-width of the interval in which the surface may lie. What `sigma_m` adds is at most
-    /// a third of the disparity: nearer than three such errors the depth is not known to better than by half.
+    /// Ends of the interval in which the surface may lie, px: near, far. `sigma_px` widens it in disparity, then
+    /// `sigma_m` in depth. The near end is infinite where the interval reaches the camera.
     #[inline]
-    pub fn margin_px(&self, disparity_px: f32, focal_baseline: f32) -> f32 {
+    pub fn ends_px(&self, disparity_px: f32, focal_baseline: f32) -> (f32, f32) {
         let lambda = self.lambda(disparity_px);
-        let of_depth = lambda * (self.at(disparity_px, focal_baseline) - self.sigma_px);
-        lambda * self.sigma_px + of_depth.min(disparity_px / 3.0)
+        let (near_px, far_px) = (disparity_px + lambda * self.sigma_px, disparity_px - lambda * self.sigma_px);
+        let shift_m = lambda * self.sigma_m;
+        if shift_m == 0.0 {
+            return (near_px, far_px);
+        }
+        let near_m = focal_baseline / near_px - shift_m;
+        let near_px = if near_m > 0.0 { focal_baseline / near_m } else { f32::INFINITY };
+        let far_px = if far_px > 0.0 { focal_baseline / (focal_baseline / far_px + shift_m) } else { far_px };
+        (near_px, far_px)
     }
 
     /// Vote of a disparity, C/(1−C) with C = (d−σ)/d (eq. 3.9): (d−σ)/σ, clamped at 0 where the formula changes sign.
@@ -97,12 +101,29 @@ mod tests {
     const FOCAL_BASELINE: f32 = 44.0;
 
     #[test]
-    fn the_near_end_of_the_interval_rises_with_disparity() {
+    fn both_ends_of_the_interval_rise_with_disparity() {
         for sigma_m in [0.0, 0.01, 0.1] {
             let noise = NoiseModel { sigma_m, ..NOISE };
-            let end = |d: f32| d - noise.margin_px(d, FOCAL_BASELINE);
-            let ends: Vec<f32> = (0..100_000).map(|i| end(i as f32 * 0.01)).collect();
-            assert!(ends.windows(2).all(|pair| pair[1] > pair[0]), "{sigma_m}");
+            let ends: Vec<(f32, f32)> = (1..100_000).map(|i| noise.ends_px(i as f32 * 0.01, FOCAL_BASELINE)).collect();
+            for pair in ends.windows(2) {
+                assert!(pair[1].0 > pair[0].0 || pair[0].0 == f32::INFINITY, "{sigma_m}: {pair:?}");
+                // Near the camera a step of a hundredth of a pixel is less than a float tells apart.
+                assert!(pair[1].1 >= pair[0].1, "{sigma_m}: {pair:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn an_error_of_depth_moves_the_ends_in_depth() {
+        let noise = NoiseModel { sigma_px: 0.01, sigma_m: 0.1, lambda_near: 3.0, lambda_far: 3.0, ..NOISE };
+        for depth_m in [0.2_f32, 0.5, 1.0, 4.0] {
+            let d = FOCAL_BASELINE / depth_m;
+            let (near_px, far_px) = noise.ends_px(d, FOCAL_BASELINE);
+            let near_m = FOCAL_BASELINE / (d + 0.03) - 0.3;
+            let far_m = FOCAL_BASELINE / (d - 0.03) + 0.3;
+            let is_near =
+                if near_m > 0.0 { (FOCAL_BASELINE / near_px - near_m).abs() < 1e-4 } else { near_px.is_infinite() };
+            assert!(is_near && (FOCAL_BASELINE / far_px - far_m).abs() < 1e-3, "{depth_m}: {near_px} {far_px}");
         }
     }
 

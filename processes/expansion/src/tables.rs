@@ -33,9 +33,8 @@ impl Tables {
         let focal_baseline = rig.focal_baseline_px_m() as f32;
         let near: Vec<u16> = (0..values)
             .map(|value| {
-                let end = f32::from(u16::MAX - 1)
-                    .min((px(value) + noise.margin_px(px(value) + rig.doffs_px as f32, focal_baseline)) * SCALE)
-                    .ceil() as u16;
+                let (near_px, _) = noise.ends_px(px(value) + rig.doffs_px as f32, focal_baseline);
+                let end = f32::from(u16::MAX - 1).min((near_px - rig.doffs_px as f32) * SCALE).ceil() as u16;
                 if is_valid(value as u16) { (end + (end & 1)).min(u16::MAX - 1) } else { 0 }
             })
             .collect();
@@ -87,8 +86,8 @@ fn backs(rig: &StereoRig, noise: &NoiseModel, radius_m: f64, near: &[u16]) -> Ve
     // Keys that no disparity has are never looked up.
     for value in (usize::from(MINIMUM)..near.len()).rev() {
         let d_px = value as f32 / SCALE;
-        let margin_px = noise.margin_px(d_px + rig.doffs_px as f32, rig.focal_baseline_px_m() as f32);
-        let depth_m = rig.depth_m(f64::from(d_px - margin_px)) + radius_m;
+        let (_, far_px) = noise.ends_px(d_px + rig.doffs_px as f32, rig.focal_baseline_px_m() as f32);
+        let depth_m = rig.depth_m(f64::from(far_px - rig.doffs_px as f32)) + radius_m;
         let back = (rig.disparity_px(depth_m) * f64::from(SCALE)).floor().clamp(0.0, f64::from(NEAREST));
         backs[usize::from(near[value])] = back as u16;
     }
