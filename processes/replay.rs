@@ -39,9 +39,6 @@ Examples:
 pub(crate) struct ReplayArguments {
     #[command(flatten)]
     input: InputArguments,
-    /// Disparities searched: 16, 32, 64, 96, 128, 192 or 256.
-    #[arg(long, value_name = "PX", default_value_t = 64)]
-    max_disparity: u32,
     /// Mean horizontal difference that counts as texture, grey levels: above the camera's noise.
     #[arg(long, value_name = "GREY", default_value_t = 1.0)]
     least_texture: f32,
@@ -99,10 +96,9 @@ const PATIENCE: Duration = Duration::from_secs(60);
 
 pub(crate) fn replay(arguments: &ReplayArguments) -> Result<ExitCode, Box<dyn Error>> {
     let mut config = FlightConfig::load(arguments.config.as_deref(), None)?;
-    let input = arguments.input.apply(&mut config, arguments.config.is_some(), arguments.max_disparity)?;
+    let input = arguments.input.apply(&mut config, arguments.config.is_some())?;
     let (width_px, height_px) = (config.vehicle.rig.width_px, config.vehicle.rig.height_px);
     config.record_images = arguments.record_images;
-    config.vehicle.stereo.max_disparity_px = arguments.max_disparity;
     config.vehicle.stereo.least_texture = arguments.least_texture;
     config.vehicle.expansion.hole_px = arguments.hole.unwrap_or((width_px / 12).min(128));
     let truth = arguments.ground_truth.as_deref();
@@ -192,8 +188,8 @@ fn digest(
             }
         }
         match supervision.attend(&services, ATTENTION) {
-            // Of a camera there is something to tell already.
-            Happening::Signal(_) if matches!(input, Input::Camera(_)) && !is_interrupted => is_interrupted = true,
+            // There may be something to tell already.
+            Happening::Signal(_) if gathered.figures.frames > 0 && !is_interrupted => is_interrupted = true,
             Happening::Signal(_) => return Err("interrupted".into()),
             Happening::RunEnded(process, how) => return Err(format!("{process} {how}").into()),
             Happening::Died(process, how) => eprintln!("sparrowhawk: {process} {how}: restarting it"),
@@ -208,7 +204,7 @@ fn digest(
             gathered.hear(health.header())?;
         }
         supervision.kill_silent();
-        if progress.elapsed() > PATIENCE {
+        if progress.elapsed() > PATIENCE + gathered.longest_gap {
             let waiting: Vec<String> = supervision.status().iter().filter_map(crate::display::complaint).collect();
             let why = waiting.join("; ");
             return Err(format!("the graph made nothing of the frames for {} s: {why}", PATIENCE.as_secs()).into());
@@ -227,6 +223,8 @@ struct Gathered {
     /// Exposure of the last frame, once all have been shown.
     last_ns: Option<i64>,
     newest_ns: i64,
+    /// Between two frames of a sequence.
+    longest_gap: Duration,
     bar: ProgressBar,
 }
 
@@ -235,9 +233,9 @@ const MOST_AT_WORK: usize = 8;
 
 impl Gathered {
     fn new(input: &Input) -> Self {
-        let (wanted, figures) = match input {
-            Input::Files(_, sequence) => (None, FrameFigures::of_sequence(sequence)),
-            Input::Camera(frames) => (Some(*frames), FrameFigures::default()),
+        let (wanted, figures, longest_gap) = match input {
+            Input::Files(_, sequence) => (None, FrameFigures::of_sequence(sequence), sequence.longest_gap()),
+            Input::Camera(frames) => (Some(*frames), FrameFigures::default(), Duration::ZERO),
         };
         let length = wanted.or(figures.in_sequence.map(|frames| frames as u64)).unwrap_or_default();
         let bar = if length > 1 { ProgressBar::new(length) } else { ProgressBar::hidden() };
@@ -245,7 +243,7 @@ impl Gathered {
         if let Ok(style) = ProgressStyle::with_template("{bar:40} {pos}/{len} frames, {per_sec}, {eta} left") {
             bar.set_style(style);
         }
-        Self { products: BTreeMap::new(), figures, wanted, last_ns: None, newest_ns: i64::MIN, bar }
+        Self { products: BTreeMap::new(), figures, wanted, last_ns: None, newest_ns: i64::MIN, longest_gap, bar }
     }
 
     /// The products of the last frame, once it has passed all stages; of the newest one if there is no more to wait for.
@@ -271,7 +269,7 @@ impl Gathered {
             let products = self.products.entry(stamp.valid_ns).or_default();
             if self.last_ns.is_none_or(|last_ns| stamp.valid_ns <= last_ns) {
                 let valid = pixels.iter().filter(|&&pixel| is_valid(pixel)).count();
-                self.figures.matched = self.figures.matched.max(stamp.sequence);
+                self.figures.frames = self.figures.frames.max(stamp.sequence);
                 self.figures.valid_percent.push(100.0 * valid as f64 / pixels.len().max(1) as f64);
                 if products.frame_ns > 0 {
                     self.figures.stereo_ms.push((stamp.published_ns - products.frame_ns) as f64 * 1e-6);
@@ -316,8 +314,13 @@ impl Gathered {
                 }
             }
             Some(ProcessId::Camera) => self.figures.left_out = health.dropped,
-            Some(ProcessId::StereoIngest) if health.level > 0 => self.figures.note(&health.note.to_string_lossy()),
             _ => {}
+        }
+        let process = ProcessId::from_wire(health.stamp.producer);
+        let is_source = matches!(process, Some(ProcessId::Camera | ProcessId::StereoIngest));
+        // Before its first work a process only waits.
+        if let Some(process) = process.filter(|_| is_source && health.level > 0 && health.steps > 0) {
+            self.figures.note(format!("{process}: {}", health.note.to_string_lossy()));
         }
         Ok(())
     }

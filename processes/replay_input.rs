@@ -30,20 +30,27 @@ pub(crate) struct InputArguments {
     #[arg(long, value_name = "M|PX", requires = "source")]
     unit: Option<f64>,
     /// Least depth that the sensor measures, m.
-    #[arg(long, value_name = "M", default_value_t = 0.3)]
+    #[arg(long, value_name = "M", default_value_t = 0.3, requires = "source")]
     nearest: f64,
     /// Largest depth that is believed, m.
-    #[arg(long, value_name = "M", default_value_t = 10.0)]
+    #[arg(long, value_name = "M", default_value_t = 10.0, requires = "source")]
     farthest: f64,
     /// Frames per second: asked of a camera (30 if not given), assumed of files that do not say when they were exposed (10).
-    #[arg(long, value_name = "HZ")]
+    #[arg(long, value_name = "HZ", value_parser = parse_rate)]
     rate: Option<f64>,
-    /// Pixels of the camera.
-    #[arg(long, value_name = "FORMAT", default_value = "yuyv", value_parser = parse_format)]
-    pixel_format: PixelFormat,
+    /// Pixels of the camera: grey, y10, y12, y16, yuyv, uyvy, nv12, mjpeg or z16; yuyv if not given, z16 for depth.
+    #[arg(long, value_name = "FORMAT", value_parser = parse_format)]
+    pixel_format: Option<PixelFormat>,
+    /// From the middle of the exposure to the driver's time stamp, ms; the vehicle's if not given.
+    #[arg(long, value_name = "MS", allow_hyphen_values = true)]
+    stamp_delay_ms: Option<f64>,
     /// Stop after so many frames of a camera.
-    #[arg(long, value_name = "N", default_value_t = 100)]
+    #[arg(long, value_name = "N", default_value_t = 100, value_parser = clap::value_parser!(u64).range(1..))]
     frames: u64,
+    /// Disparities searched: 16, 32, 64, 96, 128, 192 or 256; 64 if not given. With --source disparity: the largest that the
+    /// sensor finds.
+    #[arg(long, value_name = "PX")]
+    max_disparity: Option<u32>,
     /// Calibration file or folder: a RON rig or Middlebury's calib.txt (rectified); ROS, Kalibr, EuRoC, OpenCV or RON (raw).
     #[arg(long, value_name = "FILE|FOLDER", conflicts_with_all = ["focal", "baseline"])]
     calib: Option<PathBuf>,
@@ -59,10 +66,10 @@ pub(crate) struct InputArguments {
     /// Difference of the principal points' columns, px.
     #[arg(long, value_name = "PX", default_value_t = 0.0, allow_hyphen_values = true)]
     doffs: f64,
-    /// Size of a camera's image, px, where no calibration file says it.
-    #[arg(long, value_name = "X,Y", value_parser = parse_pair)]
-    size: Option<[f64; 2]>,
-    /// Standard deviation of disparity, px; the vehicle's if not given.
+    /// Size of one image of a camera, px, where no calibration file says it.
+    #[arg(long, value_name = "WxH", value_parser = parse_size)]
+    size: Option<(u32, u32)>,
+    /// Standard deviation of disparity, px; the vehicle's if not given. A depth sensor's must be given, here or by --config.
     #[arg(long, value_name = "PX")]
     sigma_px: Option<f32>,
     /// Standard deviation of depth besides, m; the vehicle's if not given.
@@ -81,6 +88,17 @@ fn parse_pair(text: &str) -> Result<[f64; 2], String> {
     let values: Result<Vec<f64>, _> = text.split(',').map(|value| value.trim().parse()).collect();
     let expected = || format!("is \"{text}\", expected two numbers x,y");
     values.map_err(|_| expected())?.try_into().map_err(|_| expected())
+}
+
+fn parse_size(text: &str) -> Result<(u32, u32), String> {
+    let size =
+        text.split_once(['x', ',']).and_then(|(width, height)| Some((width.parse().ok()?, height.parse().ok()?)));
+    size.ok_or_else(|| format!("is \"{text}\", expected width x height in whole pixels, 640x480 say"))
+}
+
+fn parse_rate(text: &str) -> Result<f64, String> {
+    let rate = text.parse().ok().filter(|rate| (0.1..=1000.0).contains(rate));
+    rate.ok_or_else(|| format!("is \"{text}\", allowed are 0.1 to 1000"))
 }
 
 fn parse_format(text: &str) -> Result<PixelFormat, String> {
@@ -110,17 +128,19 @@ pub(crate) enum Input {
 impl InputArguments {
     /// Finds the images, and puts their meaning and geometry into the vehicle. `own_vehicle`: whether the configuration is
     /// the user's, so that its rig may stand for theirs.
-    pub(crate) fn apply(
-        &self,
-        config: &mut FlightConfig,
-        own_vehicle: bool,
-        max_disparity_px: u32,
-    ) -> Result<Input, Box<dyn Error>> {
+    pub(crate) fn apply(&self, config: &mut FlightConfig, own_vehicle: bool) -> Result<Input, Box<dyn Error>> {
         let vehicle = &mut config.vehicle;
-        vehicle.source = self.source(vehicle.source, max_disparity_px);
+        vehicle.source = self.source(vehicle.source)?;
+        vehicle.stereo.max_disparity_px = self.max_disparity.unwrap_or(64);
+        if vehicle.source != Source::Stereo && self.sigma_px.is_none() && !own_vehicle {
+            return Err("a depth sensor has a noise of its own: give --sigma-px, or a vehicle with --config".into());
+        }
         let NoiseModel { sigma_px, sigma_m, .. } = vehicle.noise;
         vehicle.noise.sigma_px = self.sigma_px.unwrap_or(sigma_px);
         vehicle.noise.sigma_m = self.sigma_m.unwrap_or(sigma_m);
+        if let Some(path) = self.images.iter().chain(&self.camera).find(|path| path.to_str().is_none()) {
+            return Err(format!("{}: is not UTF-8, which the processes' command lines need", path.display()).into());
+        }
         let (input, size_px) = if self.camera.is_empty() {
             vehicle.camera = None;
             let sequence = Sequence::open(&self.images, content(&vehicle.source), self.rate_hz())?;
@@ -130,8 +150,8 @@ impl InputArguments {
             if let Some(missing) = self.camera.iter().find(|path| !path.exists()) {
                 return Err(format!("{}: no such camera", missing.display()).into());
             }
-            vehicle.camera = Some(self.camera(vehicle.camera.as_ref()));
-            (Input::Camera(self.frames), self.size.map(|[width, height]| (width as u32, height as u32)))
+            vehicle.camera = Some(self.camera(vehicle.camera.as_ref(), &vehicle.source));
+            (Input::Camera(self.frames), self.size)
         };
         if let Some((rig, calibration)) = self.geometry(size_px)? {
             (vehicle.rig, vehicle.calibration) = (rig, calibration);
@@ -155,27 +175,31 @@ impl InputArguments {
         self.rate.unwrap_or(if self.camera.is_empty() { DEFAULT_RATE_HZ } else { 30.0 })
     }
 
-    fn source(&self, vehicles: Source, max_disparity_px: u32) -> Source {
-        match self.source {
+    fn source(&self, vehicles: Source) -> Result<Source, String> {
+        Ok(match self.source {
             None => vehicles,
             Some(SourceName::Stereo) => Source::Stereo,
             Some(SourceName::Depth) => {
                 Source::Depth { unit_m: self.unit.unwrap_or(0.001), nearest_m: self.nearest, farthest_m: self.farthest }
             }
             Some(SourceName::Disparity) => {
-                Source::Disparity { unit_px: self.unit.unwrap_or(1.0 / 256.0), most_px: f64::from(max_disparity_px) }
+                let most = self
+                    .max_disparity
+                    .ok_or("give --max-disparity with --source disparity: the largest that the sensor finds")?;
+                Source::Disparity { unit_px: self.unit.unwrap_or(1.0 / 256.0), most_px: f64::from(most) }
             }
-        }
+        })
     }
 
-    fn camera(&self, vehicles: Option<&CameraConfig>) -> CameraConfig {
+    fn camera(&self, vehicles: Option<&CameraConfig>, source: &Source) -> CameraConfig {
+        let usual = if *source == Source::Stereo { PixelFormat::Yuyv } else { PixelFormat::Z16 };
         let device = |index: usize| self.camera.get(index).map(|path| path.display().to_string());
         CameraConfig {
             left: device(0).unwrap_or_default(),
             right: device(1),
-            format: self.pixel_format,
+            format: self.pixel_format.unwrap_or(usual),
             rate_hz: self.rate_hz(),
-            stamp_delay_ms: vehicles.map_or(0.0, |camera| camera.stamp_delay_ms),
+            stamp_delay_ms: self.stamp_delay_ms.or(vehicles.map(|camera| camera.stamp_delay_ms)).unwrap_or_default(),
         }
     }
 
@@ -190,7 +214,7 @@ impl InputArguments {
         let (Some(focal_px), Some(baseline_m)) = (self.focal, self.baseline) else {
             return Ok(None);
         };
-        let (width_px, height_px) = size_px.ok_or("no image size: give --size X,Y with --focal and --baseline")?;
+        let (width_px, height_px) = size_px.ok_or("no image size: give --size WxH with --focal and --baseline")?;
         let [cx_px, cy_px] = self.centre.unwrap_or([f64::from(width_px) / 2.0, f64::from(height_px) / 2.0]);
         Ok(Some((StereoRig { width_px, height_px, focal_px, cx_px, cy_px, baseline_m, doffs_px: self.doffs }, None)))
     }

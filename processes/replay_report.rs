@@ -21,12 +21,15 @@ pub(crate) struct FrameFigures {
     /// Frames that could not be read, or that a camera lost.
     pub(crate) left_out: u64,
     pub(crate) shown: u64,
-    pub(crate) matched: u64,
+    /// Disparity images made of them.
+    pub(crate) frames: u64,
     pub(crate) first_exposure_ns: Option<i64>,
     pub(crate) duration_s: f64,
     pub(crate) valid_percent: Vec<f64>,
     pub(crate) stereo_ms: Vec<f64>,
-    /// What stereo-ingest complained of.
+    /// Between the images of a pair, at most.
+    pub(crate) apart_ns: i64,
+    /// What camera and stereo-ingest complained of.
     pub(crate) notes: Vec<String>,
 }
 
@@ -37,20 +40,21 @@ impl FrameFigures {
             unpaired: sequence.unpaired,
             first_exposure_ns: sequence.first_ns,
             duration_s: sequence.duration_s(),
+            apart_ns: sequence.apart_ns,
             ..Self::default()
         }
     }
 
     /// Remembers a complaint, once.
-    pub(crate) fn note(&mut self, note: &str) {
-        if self.matched > 0 && !self.notes.iter().any(|known| known == note) {
-            self.notes.push(note.to_owned());
+    pub(crate) fn note(&mut self, note: String) {
+        if !self.notes.contains(&note) {
+            self.notes.push(note);
         }
     }
 }
 
 /// Least, median and largest value.
-#[derive(Clone, Copy, Debug, Default, Serialize)]
+#[derive(Clone, Copy, Debug, Serialize)]
 struct Spread {
     least: f64,
     median: f64,
@@ -58,10 +62,11 @@ struct Spread {
 }
 
 impl Spread {
-    fn of(mut values: Vec<f64>) -> Self {
+    /// Of no values there is none.
+    fn of(mut values: Vec<f64>) -> Option<Self> {
         values.sort_by(f64::total_cmp);
-        let at = |index: usize| values.get(index).copied().unwrap_or_default();
-        Self { least: at(0), median: at(values.len() / 2), most: at(values.len().saturating_sub(1)) }
+        let (least, most) = (*values.first()?, *values.last()?);
+        Some(Self { least, median: values[values.len() / 2], most })
     }
 }
 
@@ -73,13 +78,15 @@ struct FramesSummary {
     unpaired: usize,
     left_out: u64,
     shown: u64,
-    matched: u64,
+    disparity_images: u64,
     /// Time of the first exposure as the files give it, ns.
     #[serde(skip_serializing_if = "Option::is_none")]
     first_exposure_ns: Option<i64>,
     duration_s: f64,
-    valid_percent: Spread,
-    stereo_ms: Spread,
+    /// Between the images of a pair, at most, ms.
+    apart_ms: f64,
+    valid_percent: Option<Spread>,
+    stereo_ms: Option<Spread>,
     notes: Vec<String>,
 }
 
@@ -162,9 +169,10 @@ pub(crate) fn summarise(
         unpaired: figures.unpaired,
         left_out: figures.left_out,
         shown: figures.shown,
-        matched: figures.matched,
+        disparity_images: figures.frames,
         first_exposure_ns: figures.first_exposure_ns,
         duration_s: figures.duration_s,
+        apart_ms: figures.apart_ns as f64 * 1e-6,
         valid_percent: Spread::of(figures.valid_percent),
         stereo_ms: Spread::of(figures.stereo_ms),
         notes: figures.notes,
@@ -267,7 +275,7 @@ pub(crate) fn print(summary: &ReplaySummary) {
 /// Says of a sequence or a camera how many frames there were, and how they differ.
 fn print_frames(frames: &FramesSummary) {
     for note in &frames.notes {
-        println!("stereo-ingest          {note}");
+        println!("note                   {note}");
     }
     let lost = frames.unpaired as u64 + frames.left_out;
     if frames.shown <= 1 && lost == 0 {
@@ -275,19 +283,24 @@ fn print_frames(frames: &FramesSummary) {
     }
     let of = frames.in_sequence.map_or(String::new(), |count| format!(" of {count}"));
     println!(
-        "frames                 {}{of} shown, {} matched; {} images without a counterpart, {} frames left out",
-        frames.shown, frames.matched, frames.unpaired, frames.left_out
+        "frames                 {}{of} shown, {} disparity images; {} images without a counterpart, {} frames left out",
+        frames.shown, frames.disparity_images, frames.unpaired, frames.left_out
     );
     if let Some(first_ns) = frames.first_exposure_ns {
-        println!("exposures              from {first_ns} ns on, over {:.3} s", frames.duration_s);
+        println!(
+            "exposures              from {first_ns} ns on, over {:.3} s; pairs up to {:.3} ms apart",
+            frames.duration_s, frames.apart_ms
+        );
+    } else if frames.in_sequence.is_some() {
+        println!(
+            "exposures              not told by the files: an even rate is assumed, over {:.3} s",
+            frames.duration_s
+        );
     }
-    let Spread { least, median, most } = frames.valid_percent;
-    println!(
-        "each                   {median:.1} % matched ({least:.1} to {most:.1}), {}",
-        milliseconds(&frames.stereo_ms)
-    );
-}
-
-fn milliseconds(spread: &Spread) -> String {
-    format!("{:.1} ms ({:.1} to {:.1})", spread.median, spread.least, spread.most)
+    if let Some(Spread { least, median, most }) = frames.valid_percent {
+        println!("matched                {median:.1} % of the pixels ({least:.1} to {most:.1})");
+    }
+    if let Some(Spread { least, median, most }) = frames.stereo_ms {
+        println!("stereo-ingest          {median:.1} ms ({least:.1} to {most:.1})");
+    }
 }

@@ -83,7 +83,7 @@ impl VehicleConfig {
         }
         bounds.section("mount", |bounds| self.mount.check(bounds));
         bounds.section("source", |bounds| self.source.check(bounds));
-        bounds.section("camera", |bounds| self.camera.iter().for_each(|camera| camera.check(bounds)));
+        bounds.section("camera", |bounds| self.camera.iter().for_each(|camera| camera.check(bounds, &self.source)));
         let is_raw_depth = self.calibration.is_some() && self.source != stereo_ingest::Source::Stereo;
         bounds.require(
             !is_raw_depth,

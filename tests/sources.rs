@@ -146,7 +146,19 @@ fn ready_made_disparity_passes_as_it_is() {
     let value = |column: u32| if column < 20 { 65_520 } else { (SHIFT * 16) as u16 };
     let image = ImageBuffer::<Luma<u16>, _>::from_fn(SIZE.0, SIZE.1, |column, _| Luma([value(column)]));
     image.save(run.path("disparity.png")).expect("writable");
-    let arguments = ["disparity.png", "--source", "disparity", "--unit", "0.0625", "--out", "made"];
+    let arguments = [
+        "disparity.png",
+        "--source",
+        "disparity",
+        "--unit",
+        "0.0625",
+        "--max-disparity",
+        "64",
+        "--sigma-px",
+        "0.3",
+        "--out",
+        "made",
+    ];
     let (summary, _) = replay(&run, &[&arguments[..], &GEOMETRY].concat(), |_| {});
     assert!((number(&summary, "valid_percent") - 100.0 * 140.0 / 160.0).abs() < 1e-9, "{summary}");
     let found = stereo_ingest::load_disparity(&run.path("made-disparity.png"), SIZE.0, SIZE.1).expect("readable");
@@ -162,7 +174,7 @@ fn a_file_of_raw_frames_is_played_like_a_camera() {
     let frame: Vec<u8> = (0..SIZE.1).flat_map(|y| [row(&left, y), row(&right, y)].concat()).collect();
     std::fs::write(run.path("side-by-side.yuyv"), frame.repeat(3)).expect("writable");
     let camera =
-        ["--camera", "side-by-side.yuyv", "--size", "160,120", "--frames", "12", "--rate", "40", "--out", "made"];
+        ["--camera", "side-by-side.yuyv", "--size", "160x120", "--frames", "12", "--rate", "40", "--out", "made"];
     let (summary, _) = replay(&run, &[&camera[..], &GEOMETRY].concat(), |_| {});
     assert_eq!(summary["frames"]["shown"], 12, "{summary}");
     assert!(right_percent(&run.path("made-disparity.png")) > 95.0, "{summary}");
@@ -198,7 +210,7 @@ fn replay_virtual(
 ) -> (Value, String) {
     std::fs::write(run.path("0.grey"), &images[0]).expect("writable");
     std::fs::write(run.path("1.grey"), &images[1]).expect("writable");
-    let base = ["--pixel-format", "grey", "--size", "160,120", "--rate", "20", "--out", "made"];
+    let base = ["--pixel-format", "grey", "--size", "160x120", "--rate", "20", "--out", "made"];
     replay(run, &[arguments, &base, &GEOMETRY].concat(), |command| {
         command.env("LD_PRELOAD", driver).env("VIRTUAL_CAMERA_SIZE", size).env("VIRTUAL_CAMERA_FAULTS", faults);
         command.env("VIRTUAL_CAMERA_0", run.path("0.grey")).env("VIRTUAL_CAMERA_1", run.path("1.grey"));
@@ -245,7 +257,7 @@ fn a_camera_that_offers_something_else_is_refused_with_what_it_offers() {
     let run = Run::new("other");
     let Some(driver) = virtual_driver(&run) else { return };
     let _alone = real_time();
-    let mut command = run.command(&["replay", "--run", &run.name, "--camera", "/dev/zero", "--size", "160,120"]);
+    let mut command = run.command(&["replay", "--run", &run.name, "--camera", "/dev/zero", "--size", "160x120"]);
     command.args(GEOMETRY).env("LD_PRELOAD", driver).env("VIRTUAL_CAMERA_SIZE", "640x480");
     let output = command.output().expect("starts");
     let message = String::from_utf8_lossy(&output.stderr);

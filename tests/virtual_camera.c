@@ -141,6 +141,7 @@ static int request(struct camera *c, unsigned long number, void *argument) {
         case VIDIOC_QUERYCAP: {
             struct v4l2_capability *capability = argument;
             memset(capability, 0, sizeof *capability);
+            strcpy((char *)capability->card, "Kamera f\xfc" "r alle");  // drivers' names are not always UTF-8
             capability->capabilities = V4L2_CAP_DEVICE_CAPS | V4L2_CAP_VIDEO_CAPTURE | V4L2_CAP_STREAMING;
             capability->device_caps = V4L2_CAP_VIDEO_CAPTURE | V4L2_CAP_STREAMING;
             return 0;

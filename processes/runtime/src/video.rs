@@ -5,11 +5,12 @@
 
 use ipc_types::HostTime;
 use moq_v4l::sys::{
-    V4L2_BUF_FLAG_ERROR, V4L2_BUF_FLAG_TIMESTAMP_MASK, V4L2_BUF_FLAG_TIMESTAMP_MONOTONIC, v4l2_buffer, v4l2_fmtdesc,
-    v4l2_format, v4l2_requestbuffers, v4l2_streamparm,
+    V4L2_BUF_FLAG_ERROR, V4L2_BUF_FLAG_TIMESTAMP_MASK, V4L2_BUF_FLAG_TIMESTAMP_MONOTONIC, V4L2_BUF_FLAG_TSTAMP_SRC_EOF,
+    V4L2_BUF_FLAG_TSTAMP_SRC_MASK, V4L2_CAP_STREAMING, V4L2_CAP_VIDEO_CAPTURE, v4l2_buffer, v4l2_capability,
+    v4l2_fmtdesc, v4l2_format, v4l2_requestbuffers, v4l2_streamparm,
 };
 use moq_v4l::v4l2::{self, vidioc};
-use moq_v4l::{Device, Memory, buffer, capability};
+use moq_v4l::{Device, Memory, buffer};
 use std::io;
 use std::path::Path;
 use std::ptr::NonNull;
@@ -80,6 +81,8 @@ unsafe trait KernelStruct {}
 // SAFETY: see the trait; these are the structures of `videodev2.h`.
 unsafe impl KernelStruct for v4l2_buffer {}
 // SAFETY: as above.
+unsafe impl KernelStruct for v4l2_capability {}
+// SAFETY: as above.
 unsafe impl KernelStruct for v4l2_fmtdesc {}
 // SAFETY: as above.
 unsafe impl KernelStruct for v4l2_format {}
@@ -101,8 +104,10 @@ impl VideoQueue {
     /// No such device, in use, no camera that streams, or it does not offer the format.
     pub fn start(path: &Path, format: VideoFormat) -> io::Result<Self> {
         let mut queue = Self { device: Device::with_path(path)?, buffers: Vec::new(), stride: 0 };
-        let can = queue.device.query_caps().map_err(|_| io::Error::other("is not a camera"))?.capabilities;
-        if !can.contains(capability::Flags::VIDEO_CAPTURE | capability::Flags::STREAMING) {
+        let mut can: v4l2_capability = zeroed();
+        queue.control(vidioc::VIDIOC_QUERYCAP, &mut can).map_err(|_| io::Error::other("is not a camera"))?;
+        let needed = V4L2_CAP_VIDEO_CAPTURE | V4L2_CAP_STREAMING;
+        if can.device_caps & needed != needed {
             return Err(io::Error::other("is a video device, but not one that captures and streams"));
         }
         queue.stride = queue.set_format(format)?;
@@ -251,6 +256,11 @@ impl VideoFrame<'_> {
         let is_monotonic = self.buffer.flags & V4L2_BUF_FLAG_TIMESTAMP_MASK == V4L2_BUF_FLAG_TIMESTAMP_MONOTONIC;
         let at = self.buffer.timestamp;
         is_monotonic.then(|| HostTime::from_nanos(at.tv_sec * 1_000_000_000 + at.tv_usec * 1000))
+    }
+
+    /// Whether the stamp is of the frame's end rather than of its exposure.
+    pub fn is_stamped_at_end(&self) -> bool {
+        self.buffer.flags & V4L2_BUF_FLAG_TSTAMP_SRC_MASK == V4L2_BUF_FLAG_TSTAMP_SRC_EOF
     }
 
     /// Whether the driver says that data are missing.

@@ -7,6 +7,8 @@ use std::fs;
 use std::io::{self, Write};
 use std::path::Path;
 
+/// Largest calibration, bytes.
+pub(crate) const LARGEST_CALIBRATION: u64 = 1 << 20;
 /// Largest file that is read whole, bytes.
 const LARGEST_FILE: u64 = 256 << 20;
 
@@ -48,19 +50,27 @@ fn io_error(path: &Path) -> impl FnOnce(io::Error) -> PairError {
     move |source| PairError::Io { path, source }
 }
 
-/// A small text file.
-pub(crate) fn read_text(path: &Path) -> Result<String, PairError> {
-    const LARGEST_TEXT: u64 = 1 << 20;
+/// A text file of at most so many bytes.
+pub(crate) fn read_text(path: &Path, most: u64) -> Result<String, PairError> {
     let bytes = fs::metadata(path).map_err(io_error(path))?.len();
-    if bytes > LARGEST_TEXT {
-        return Err(unusable(path, format!("has {bytes} bytes, allowed are {LARGEST_TEXT}")));
+    if bytes > most {
+        return Err(unusable(path, format!("has {bytes} bytes, allowed are {most}")));
     }
     fs::read_to_string(path).map_err(io_error(path))
 }
 
 fn read_image(path: &Path) -> Result<DynamicImage, PairError> {
     let reader = ImageReader::open(path).map_err(io_error(path))?.with_guessed_format().map_err(io_error(path))?;
+    if reader.format() == Some(image::ImageFormat::Jpeg) && !is_whole_jpeg(&fs::read(path).map_err(io_error(path))?) {
+        return Err(unusable(path, "is a JPEG file without an end: cut short"));
+    }
     reader.decode().map_err(|source| PairError::Image { path: path.display().to_string(), source })
+}
+
+/// Whether an image's end is there; decoders fill with grey what is missing. Cameras pad frames with zeros.
+pub(crate) fn is_whole_jpeg(bytes: &[u8]) -> bool {
+    let end = bytes.iter().rposition(|&byte| byte != 0).map_or(0, |last| last + 1);
+    bytes[..end].ends_with(&[0xff, 0xd9])
 }
 
 /// Both images as 8-bit grey. 16-bit files hold 8 to 16 bits, as many as the brightest pixel of either needs: they are

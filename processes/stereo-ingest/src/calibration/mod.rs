@@ -14,7 +14,7 @@ pub use rectifier::Rectifier;
 pub use solve::{Board, BoardView, Solution, calibrate, check};
 pub use stereo::{Rectification, StereoCalibration};
 
-use crate::pairs::{PairError, read_text, unusable};
+use crate::pairs::{LARGEST_CALIBRATION, PairError, read_text, unusable};
 use ipc_types::StereoRig;
 use ipc_types::bounds::Bounds;
 use std::path::{Path, PathBuf};
@@ -44,7 +44,7 @@ impl Calibration {
     /// A file is missing or malformed, or describes no possible pair of cameras, or another image size.
     pub fn load(path: &Path, image_px: Option<(u32, u32)>) -> Result<Self, PairError> {
         let path = &inside(path)?;
-        let text = read_text(path)?;
+        let text = read_text(path, LARGEST_CALIBRATION)?;
         let wrong = |problem: String| unusable(path, problem);
         let calibration = match path.extension().and_then(|extension| extension.to_str()) {
             Some("ron") => from_ron(&text).map_err(wrong)?,
@@ -127,7 +127,7 @@ fn from_yaml(path: &Path, text: &str, image_px: Option<(u32, u32)>) -> Result<St
         if other == *path || !other.is_file() {
             return Err(wrong(format!("{why}: expected {} beside it", other.display())));
         }
-        read_text(&other)
+        read_text(&other, LARGEST_CALIBRATION)
     };
     match yaml::format(text).map_err(wrong)? {
         Format::Kalibr => yaml::kalibr(text).map_err(wrong),
@@ -145,7 +145,7 @@ fn from_yaml(path: &Path, text: &str, image_px: Option<(u32, u32)>) -> Result<St
             let extrinsics = path.with_file_name("extrinsics.yml");
             let intrinsics = path.with_file_name("intrinsics.yml");
             let other = [extrinsics, intrinsics].into_iter().find(|other| other != path && other.is_file());
-            let other = other.map(|other| read_text(&other)).transpose()?;
+            let other = other.map(|other| read_text(&other, LARGEST_CALIBRATION)).transpose()?;
             let files: Vec<&str> = [Some(text), other.as_deref()].into_iter().flatten().collect();
             yaml::open_cv(&files, image_px).map_err(wrong)
         }

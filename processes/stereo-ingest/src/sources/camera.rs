@@ -15,6 +15,8 @@ use std::time::Duration;
 const PATIENCE: Duration = Duration::from_millis(20);
 /// A camera that delivers nothing for so long is degraded.
 const SILENCE: Duration = Duration::from_millis(500);
+/// Frames of two cameras that are farther apart were not exposed together; or than a quarter of their interval.
+const TOGETHER: Duration = Duration::from_millis(5);
 /// Between attempts to open a camera that failed.
 const REOPEN: Duration = Duration::from_secs(1);
 
@@ -102,7 +104,16 @@ impl CameraProcess {
             let device = Device::open(Path::new(path), format, self.config.format).map_err(named)?;
             Ok(Eye { device, image, taken: None })
         };
-        devices.into_iter().flatten().map(open).collect()
+        let eyes: io::Result<Vec<Eye>> = devices.into_iter().flatten().map(open).collect();
+        let eyes = eyes?;
+        // Recordings begin anew at their end: together, or they would be paired wrong.
+        let frames: Vec<u64> = eyes.iter().filter_map(|eye| eye.device.frames()).collect();
+        if frames.len() == 2 && frames[0] != frames[1] {
+            let [left, right] = [&self.config.left, self.config.right.as_ref().unwrap_or(&self.config.left)];
+            let problem = format!("{left} has {} frames, {right} has {}; expected as many", frames[0], frames[1]);
+            return Err(io::Error::other(problem));
+        }
+        Ok(eyes)
     }
 
     /// Waits for a frame of every device that has none, each for a while. False while one is missing.
@@ -117,6 +128,7 @@ impl CameraProcess {
             let next =
                 eye.device.next(PATIENCE, |bytes, stride| image.take(bytes, Layout { stride, ..layout }, format))?;
             let Some((taken, result)) = next else { return Ok(false) };
+            self.last = host_now();
             self.report.dropped += taken.lost;
             if taken.is_damaged || result.is_err() {
                 self.report.degraded("the camera delivers damaged frames");
@@ -133,7 +145,7 @@ impl CameraProcess {
         let left = self.eyes.first()?.taken?;
         let Some(right) = self.eyes.get(1).map(|eye| eye.taken) else { return Some(left) };
         let right = right?;
-        let tolerance_s = 0.25 / self.config.rate_hz;
+        let tolerance_s = TOGETHER.as_secs_f64().min(0.25 / self.config.rate_hz);
         let apart_s = left.at.seconds_since(right.at);
         if apart_s.abs() <= tolerance_s {
             return Some(left);
@@ -234,18 +246,19 @@ impl Process for CameraProcess {
             }
         }
         let Some(taken) = self.paired() else { return self.report.idle() };
-        self.last = host_now();
         if began.0 == FlightTime::ZERO {
             // There is no flight time yet: an exposure could not be told.
             self.eyes.iter_mut().for_each(|eye| eye.taken = None);
+            self.report.dropped += 1;
             return self.report.idle();
         }
         let exposure = self.exposure(began, taken.at);
         self.publish(ports, exposure);
         self.eyes.iter_mut().for_each(|eye| eye.taken = None);
-        match taken.is_stamped {
-            true => self.report.worked(),
-            false => self.report.degraded("the camera's driver has another clock: arrival is taken for exposure"),
+        match (taken.is_stamped, taken.is_end && self.config.stamp_delay_ms == 0.0) {
+            (true, false) => self.report.worked(),
+            (true, true) => self.report.degraded("frames are stamped at their end: stamp_delay_ms is not set"),
+            (false, _) => self.report.degraded("the camera has another clock: arrival is taken for exposure"),
         }
     }
 

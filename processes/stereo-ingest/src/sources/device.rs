@@ -1,6 +1,7 @@
 //! A camera: a Video4Linux device, or a file of raw frames played like one.
 
 use super::pixel_format::PixelFormat;
+use crate::source::Source;
 use ipc_types::HostTime;
 use ipc_types::bounds::Bounds;
 use runtime::host_now;
@@ -30,8 +31,23 @@ pub struct CameraConfig {
 }
 
 impl CameraConfig {
-    /// Reports values out of range.
-    pub fn check(&self, bounds: &mut Bounds) {
+    /// Reports values out of range, and what does not fit the source.
+    pub fn check(&self, bounds: &mut Bounds, source: &Source) {
+        let is_pair = *source == Source::Stereo;
+        let delivers_values = matches!(self.format, PixelFormat::Z16 | PixelFormat::Y16);
+        bounds.require(
+            if is_pair { self.format != PixelFormat::Z16 } else { delivers_values },
+            "format",
+            format_args!(
+                "is {:?}, but the source is {source:?}: depth comes as z16 or y16, pairs do not as z16",
+                self.format
+            ),
+        );
+        bounds.require(
+            is_pair || self.right.is_none(),
+            "right",
+            format_args!("is {:?}, but the source is {source:?}, which has one device; expected None", self.right),
+        );
         bounds.range("rate_hz", self.rate_hz, 0.5..=1000.0);
         bounds.range("stamp_delay_ms", self.stamp_delay_ms, -100.0..=1000.0);
         bounds.require(
@@ -52,6 +68,8 @@ pub(crate) struct Taken {
     pub(crate) lost: u64,
     /// Whether the driver says that data are missing.
     pub(crate) is_damaged: bool,
+    /// Whether `at` is the end of the frame rather than of its exposure.
+    pub(crate) is_end: bool,
 }
 
 /// Where frames come from.
@@ -65,6 +83,7 @@ pub(crate) enum Device {
 #[derive(Debug)]
 pub(crate) struct Recording {
     file: File,
+    frames: u64,
     frame: Vec<u8>,
     interval: Duration,
     next: HostTime,
@@ -80,14 +99,23 @@ impl Device {
         let bytes = bytes.ok_or_else(|| io::Error::other("compressed frames are played from devices alone"))?;
         let file = File::open(path)?;
         let length = file.metadata()?.len();
-        if length < bytes as u64 {
+        if length == 0 || length % bytes as u64 != 0 {
             let (width, height) = (format.width_px, format.height_px);
             return Err(io::Error::other(format!(
-                "has {length} bytes, a frame of {width} x {height} px {pixels:?} has {bytes}"
+                "has {length} bytes, which are no whole frames: one of {width} x {height} px {pixels:?} has {bytes}"
             )));
         }
         let interval = Duration::from_secs_f64(1.0 / format.rate_hz);
-        Ok(Self::Recording(Recording { file, frame: vec![0; bytes], interval, next: host_now() }))
+        let frames = length / bytes as u64;
+        Ok(Self::Recording(Recording { file, frames, frame: vec![0; bytes], interval, next: host_now() }))
+    }
+
+    /// Frames of a recording.
+    pub(crate) fn frames(&self) -> Option<u64> {
+        match self {
+            Self::Camera { .. } => None,
+            Self::Recording(recording) => Some(recording.frames),
+        }
     }
 
     /// Hands the next frame's bytes and the bytes from row to row to `take`, unless `patience` is over before.
@@ -105,13 +133,19 @@ impl Device {
                 // A counter that runs backwards is a camera that began anew.
                 let lost = before.map_or(0, |before| number.wrapping_sub(before).wrapping_sub(1));
                 let lost = if lost < 1 << 16 { u64::from(lost) } else { 0 };
-                let (stamped, is_damaged) = (frame.stamped(), frame.is_damaged());
-                let at = stamped.unwrap_or_else(host_now);
-                Ok(Some((Taken { at, is_stamped: stamped.is_some(), lost, is_damaged }, take(frame.bytes(), stride))))
+                let stamped = frame.stamped();
+                let taken = Taken {
+                    at: stamped.unwrap_or_else(host_now),
+                    is_stamped: stamped.is_some(),
+                    lost,
+                    is_damaged: frame.is_damaged(),
+                    is_end: frame.is_stamped_at_end(),
+                };
+                Ok(Some((taken, take(frame.bytes(), stride))))
             }
             Self::Recording(recording) => {
                 let Some(at) = recording.advance(patience)? else { return Ok(None) };
-                let taken = Taken { at, is_stamped: true, lost: 0, is_damaged: false };
+                let taken = Taken { at, is_stamped: true, lost: 0, is_damaged: false, is_end: false };
                 Ok(Some((taken, take(&recording.frame, 0))))
             }
         }

@@ -5,6 +5,7 @@ mod device;
 mod pixel_format;
 mod player;
 mod sequence;
+mod times;
 
 pub use camera::CameraProcess;
 pub use device::CameraConfig;

@@ -1,5 +1,6 @@
 //! A camera's pixels to 8-bit grey, or to 16-bit values.
 
+use crate::pairs::is_whole_jpeg;
 use image::ImageReader;
 use serde::{Deserialize, Serialize};
 use std::io::Cursor;
@@ -122,6 +123,9 @@ impl PixelFormat {
 }
 
 fn decode_jpeg(bytes: &[u8], layout: Layout, out: &mut [u8]) -> Result<(), Unusable> {
+    if !is_whole_jpeg(bytes) {
+        return Err(Unusable::Short);
+    }
     let reader = ImageReader::with_format(Cursor::new(bytes), image::ImageFormat::Jpeg);
     let image = reader.decode().map_err(|_| Unusable::Undecodable)?.into_luma8();
     if (image.width() as usize, image.height() as usize) != (layout.width, layout.height) {
@@ -184,7 +188,9 @@ mod tests {
         let found = grey(PixelFormat::Mjpeg, LAYOUT, &jpeg).expect("decoded");
         assert!(found.iter().all(|level| level.abs_diff(77) < 3), "{found:?}");
         assert_eq!(grey(PixelFormat::Mjpeg, Layout { width: 2, ..LAYOUT }, &jpeg), Err(Unusable::Undecodable));
-        assert_eq!(grey(PixelFormat::Mjpeg, LAYOUT, &jpeg[..40]), Err(Unusable::Undecodable));
-        assert_eq!(grey(PixelFormat::Mjpeg, LAYOUT, &[]), Err(Unusable::Undecodable));
+        assert_eq!(grey(PixelFormat::Mjpeg, LAYOUT, &[&jpeg[..], &[0; 7]].concat()), Ok(found), "padded");
+        assert_eq!(grey(PixelFormat::Mjpeg, LAYOUT, &jpeg[..jpeg.len() - 5]), Err(Unusable::Short));
+        assert_eq!(grey(PixelFormat::Mjpeg, LAYOUT, &[1, 2, 0xff, 0xd9]), Err(Unusable::Undecodable));
+        assert_eq!(grey(PixelFormat::Mjpeg, LAYOUT, &[]), Err(Unusable::Short));
     }
 }

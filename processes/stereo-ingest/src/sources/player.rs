@@ -32,7 +32,9 @@ pub struct Player {
     /// The frame to be shown next, and its image, read ahead.
     next: usize,
     ahead: Option<FrameImage>,
-    /// Exposure of the last one, and the next time that it is shown again.
+    /// Whether it has not been shown yet.
+    is_ahead: bool,
+    /// When the last one is shown again, once all have been shown.
     again: Option<FlightTime>,
     report: Report,
 }
@@ -51,6 +53,7 @@ impl Player {
             begins: None,
             next: 0,
             ahead: None,
+            is_ahead: false,
             again: None,
             report,
         }
@@ -65,35 +68,39 @@ impl Player {
         ports.publish::<State>(now, 0, |state: &mut VehicleState, _| state.orientation = [1.0, 0.0, 0.0, 0.0]);
     }
 
-    /// Reads ahead: the next frame that can be read and is of the right size.
-    fn read_ahead(&mut self) {
+    /// Reads the next frame ahead; leaves it out if it cannot be read or is of another size. One file at a time, so that the
+    /// vehicle goes on meanwhile.
+    fn read_ahead(&mut self, now: FlightTime) {
         let Some(sequence) = &self.sequence else { return };
-        while self.ahead.is_none()
-            && let Some(frame) = sequence.frames.get(self.next)
-        {
-            let problem = match frame.load() {
-                Ok(image) if image.size_px() == self.size_px => {
-                    self.ahead = Some(image);
-                    return;
-                }
-                Ok(image) => {
-                    let ((width, height), (expected_width, expected_height)) = (image.size_px(), self.size_px);
-                    let path = frame.left.display();
-                    format!("{path}: is {width} x {height} px, expected {expected_width} x {expected_height} px")
-                }
-                Err(error) => error.to_string(),
-            };
-            eprintln!("sparrowhawk: left out: {problem}");
-            self.report.dropped += 1;
-            self.next += 1;
-        }
+        let Some(frame) = sequence.frames.get(self.next) else { return };
+        let problem = match frame.load() {
+            Ok(image) if image.size_px() == self.size_px => {
+                (self.ahead, self.is_ahead) = (Some(image), true);
+                return;
+            }
+            Ok(image) => {
+                let ((width, height), (expected_width, expected_height)) = (image.size_px(), self.size_px);
+                let path = frame.left.display();
+                format!("{path}: is {width} x {height} px, expected {expected_width} x {expected_height} px")
+            }
+            Err(error) => error.to_string(),
+        };
+        eprintln!("sparrowhawk: left out: {problem}");
+        self.report.dropped += 1;
+        self.next += 1;
+        self.again = (self.next == sequence.frames.len()).then_some(now);
+    }
+
+    /// Whether the next frame has still to be read.
+    fn must_read(&self) -> bool {
+        let has_more = self.sequence.as_ref().is_some_and(|sequence| self.next < sequence.frames.len());
+        self.begins.is_some() && has_more && !self.is_ahead
     }
 
     /// Exposure of the next frame, or of the next showing of the last.
     fn due(&self) -> Option<FlightTime> {
         let begins = self.begins?;
-        let frame = self.sequence.as_ref()?.frames.get(self.next);
-        match frame {
+        match self.sequence.as_ref()?.frames.get(self.next) {
             Some(frame) => Some(FlightTime::from_nanos(begins.as_nanos().saturating_add(frame.at_ns))),
             None => self.again,
         }
@@ -115,14 +122,13 @@ impl Player {
             }
             None => {}
         }
-        let frames = self.sequence.as_ref().map_or(0, |sequence| sequence.frames.len());
-        let last = self.ahead.take_if(|_| self.next + 1 < frames);
-        self.next = (self.next + 1).min(frames);
-        self.read_ahead();
-        if self.next == frames {
-            // What was shown last stays, also where the files after it were left out.
-            self.ahead = self.ahead.take().or(last);
+        // The image stays until another one is read: the last of them is shown again.
+        if !std::mem::replace(&mut self.is_ahead, false) {
             self.again = Some(exposure + AGAIN_INTERVAL);
+        } else {
+            self.next += 1;
+            let has_more = self.sequence.as_ref().is_some_and(|sequence| self.next < sequence.frames.len());
+            self.again = (!has_more).then(|| exposure + AGAIN_INTERVAL);
         }
     }
 }
@@ -151,10 +157,12 @@ impl Process for Player {
             self.awaited.retain(|&process| Some(process) != heard);
         }
         if self.awaited.is_empty() && self.begins.is_none() {
-            self.read_ahead();
             self.begins = Some(ports.now() + STATE_INTERVAL);
         }
-        if let Some(exposure) = self.due().filter(|&exposure| exposure <= now) {
+        if self.must_read() {
+            self.read_ahead(now);
+            did = true;
+        } else if let Some(exposure) = self.due().filter(|&exposure| exposure <= now) {
             self.show(ports, exposure);
             did = true;
         }
@@ -166,7 +174,8 @@ impl Process for Player {
     }
 
     fn next_wake(&self) -> Option<FlightTime> {
-        Some(self.due().map_or(self.next_state, |due| due.min(self.next_state)))
+        let next = if self.must_read() { Some(FlightTime::ZERO) } else { self.due() };
+        Some(next.map_or(self.next_state, |next| next.min(self.next_state)))
     }
 
     fn flight_time(&mut self, host: HostTime) -> Option<FlightTime> {

@@ -2,13 +2,15 @@
 //!
 //! Understood are EuRoC's layout (`mav0/cam0/data.csv`), folders for left and right (KITTI's `image_0` and `image_1`,
 //! `left` and `right`, …), one folder whose file names say `left` and `right`, and folders of depth images (TUM, 7-Scenes).
-//! Times come from `data.csv`, from KITTI's `times.txt`, or from the file names where those are times; else a rate is
-//! assumed. What has no counterpart in the other camera is counted, never guessed.
+//! Times come from `data.csv`, from KITTI's `times.txt` or `timestamps.txt`, or from the file names where those are times;
+//! else a rate is assumed. What has no counterpart in the other camera is counted, never guessed.
 
+use super::times::{date_as_ns, seconds_as_ns, time_in};
 use crate::pairs::{DepthImage, PairError, StereoPair, read_text, unusable};
 use std::collections::HashMap;
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 /// What a sequence is made of.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -71,6 +73,8 @@ pub struct Sequence {
     pub unpaired: usize,
     /// Time of the first exposure as the files give it, ns; `None` where they give none.
     pub first_ns: Option<i64>,
+    /// Between the images of a pair, at most, ns; 0 where the files do not tell.
+    pub apart_ns: i64,
 }
 
 /// One camera's image.
@@ -97,8 +101,13 @@ const SIDES: [(&str, &str); 8] = [
 const WORDS: [(&str, &str); 4] = [("left", "right"), ("im0", "im1"), ("cam0", "cam1"), ("infra1", "infra2")];
 /// Where depth images are, in a folder of other things.
 const DEPTH_FOLDERS: [&str; 3] = ["depth", "disp_0", "disparity"];
-/// Images of one exposure are no farther apart than this share of the interval between exposures.
+/// Images of one exposure are no farther apart than a share of the interval between exposures, and than this, ns.
 const SHARE_OF_INTERVAL: i64 = 4;
+const TOGETHER_NS: i64 = 5_000_000;
+/// Longer sequences than a week have wrong times.
+const LONGEST_NS: i64 = 7 * 24 * 3600 * 1_000_000_000;
+/// Largest list of times, bytes: a day at 20 Hz.
+const LARGEST_LIST: u64 = 128 << 20;
 
 impl Sequence {
     /// Finds the images: one or two files, one folder, or a folder for each camera. `rate_hz` is used where the files
@@ -138,8 +147,10 @@ impl Sequence {
         let timed = left.iter().chain(&right).all(|image| image.at_ns.is_some());
         let pairs = if timed { by_time(left, right) } else { by_name(left, right) };
         let unpaired = images - 2 * pairs.len();
+        let apart = |(a, b): &(Image, Image)| Some(a.at_ns?.saturating_sub(b.at_ns?).saturating_abs());
+        let apart_ns = if timed { pairs.iter().filter_map(apart).max().unwrap_or_default() } else { 0 };
         let frames = pairs.into_iter().map(|(left, right)| (left.at_ns, left.path, Some(right.path))).collect();
-        Self::in_order(frames, unpaired, path, rate_hz)
+        Ok(Self { apart_ns, ..Self::in_order(frames, unpaired, path, rate_hz)? })
     }
 
     fn in_order(
@@ -154,7 +165,14 @@ impl Sequence {
         let mut frames: Vec<SequenceFrame> = Vec::with_capacity(found.len());
         for (index, (at, left, right)) in found.into_iter().enumerate() {
             let at_ns = match (first_ns, at) {
-                (Some(first), Some(at)) => at - first,
+                (Some(first), Some(at)) => match at.checked_sub(first).filter(|since| *since <= LONGEST_NS) {
+                    Some(since) => since,
+                    None => {
+                        let problem =
+                            format!("was exposed at {at} ns, the first image at {first} ns; expected within a week");
+                        return Err(unusable(&left, problem));
+                    }
+                },
                 _ => (index as f64 * 1e9 / rate_hz) as i64,
             };
             if frames.last().is_some_and(|last| last.at_ns == at_ns) {
@@ -164,10 +182,19 @@ impl Sequence {
             frames.push(SequenceFrame { at_ns, left, right });
         }
         if frames.is_empty() {
-            let problem = format!("has no images that belong together; {unpaired} have no counterpart");
+            let problem = match unpaired {
+                0 => "has no images".to_owned(),
+                _ => format!("has no images that belong together; {unpaired} have no counterpart"),
+            };
             return Err(unusable(path, problem));
         }
-        Ok(Self { frames, unpaired, first_ns })
+        Ok(Self { frames, unpaired, first_ns, apart_ns: 0 })
+    }
+
+    /// Longest time between two frames.
+    pub fn longest_gap(&self) -> Duration {
+        let gaps = self.frames.windows(2).map(|two| two[1].at_ns - two[0].at_ns);
+        Duration::from_nanos(gaps.max().unwrap_or_default().unsigned_abs())
     }
 
     /// From the first exposure to the last, s.
@@ -214,11 +241,14 @@ fn one_side(folder: &Path) -> Result<Vec<Image>, PairError> {
         return listed(&list, &images);
     }
     let mut found: Vec<Image> = image_files(&images)?.iter().map(|path| Image::of(path)).collect();
-    let times = [folder.join("times.txt"), folder.join("../times.txt")].into_iter().find(|path| path.is_file());
+    let lists = ["times.txt", "../times.txt", "timestamps.txt"].map(|name| folder.join(name));
+    let times = lists.into_iter().find(|path| path.is_file());
     if let Some(times) = times {
-        let seconds: Option<Vec<i64>> = read_text(&times)?.lines().map(seconds_as_ns).collect();
+        let text = read_text(&times, LARGEST_LIST)?;
+        let lines = text.lines().filter(|line| !line.trim().is_empty());
+        let seconds: Option<Vec<i64>> = lines.map(|line| date_as_ns(line).or_else(|| seconds_as_ns(line))).collect();
         let Some(seconds) = seconds.filter(|seconds| seconds.len() == found.len()) else {
-            return Err(unusable(&times, format!("expected {} times in seconds, one a line", found.len())));
+            return Err(unusable(&times, format!("expected {} times in seconds or dates, one a line", found.len())));
         };
         found.iter_mut().zip(seconds).for_each(|(image, at_ns)| image.at_ns = Some(at_ns));
     }
@@ -228,7 +258,7 @@ fn one_side(folder: &Path) -> Result<Vec<Image>, PairError> {
 /// EuRoC's list: time in nanoseconds, file name.
 fn listed(list: &Path, images: &Path) -> Result<Vec<Image>, PairError> {
     let mut found = Vec::new();
-    for (index, line) in read_text(list)?.lines().enumerate() {
+    for (index, line) in read_text(list, LARGEST_LIST)?.lines().enumerate() {
         let line = line.trim();
         if line.is_empty() || line.starts_with('#') {
             continue;
@@ -246,7 +276,10 @@ fn listed(list: &Path, images: &Path) -> Result<Vec<Image>, PairError> {
 fn depth_images(folder: &Path) -> Result<Vec<Image>, PairError> {
     let inner = DEPTH_FOLDERS.iter().map(|name| folder.join(name)).find(|inner| inner.is_dir());
     let files = image_files(inner.as_deref().unwrap_or(folder))?;
-    let is_depth = |path: &&PathBuf| path.extension().is_some_and(|extension| extension == "png" || extension == "pgm");
+    let is_depth = |path: &&PathBuf| {
+        let extension = path.extension().map(|extension| extension.to_string_lossy().to_lowercase());
+        extension.is_some_and(|extension| extension == "png" || extension == "pgm")
+    };
     let says_depth = |path: &&PathBuf| Image::named(path, "depth").is_some();
     let named: Vec<Image> = files.iter().filter(is_depth).filter(says_depth).map(|path| Image::of(path)).collect();
     if !named.is_empty() {
@@ -279,30 +312,9 @@ impl Image {
     fn named(path: &Path, word: &str) -> Option<Self> {
         let image = Self::of(path);
         let key = image.key.contains(word).then(|| image.key.replacen(word, "", 1))?;
+        let key = key.trim_matches(['_', '-', '.', ' ']).to_owned();
         Some(Self { at_ns: time_in(&key), key, ..image })
     }
-}
-
-/// A time in a file name: of 16 to 19 digits, the last of which are fractions of a second, or seconds with a point.
-fn time_in(name: &str) -> Option<i64> {
-    let is_number = |text: &str| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
-    if is_number(name) && (16..=19).contains(&name.len()) {
-        return format!("{name:0<19}").parse().ok();
-    }
-    let (whole, fraction) = name.split_once('.')?;
-    (is_number(whole) && is_number(fraction) && whole.len() >= 9).then(|| seconds_as_ns(name)).flatten()
-}
-
-/// Decimal seconds, to the nanosecond: a float would lose them.
-fn seconds_as_ns(text: &str) -> Option<i64> {
-    let text = text.trim();
-    if text.contains(['e', 'E']) {
-        return text.parse::<f64>().ok().filter(|seconds| seconds.is_finite()).map(|seconds| (seconds * 1e9) as i64);
-    }
-    let (whole, fraction) = text.split_once('.').unwrap_or((text, ""));
-    let digits = fraction.get(..9).unwrap_or(fraction);
-    let nanoseconds: i64 = format!("{digits:0<9}").parse().ok()?;
-    whole.parse::<i64>().ok()?.checked_mul(1_000_000_000)?.checked_add(nanoseconds)
 }
 
 fn by_name(left: Vec<Image>, right: Vec<Image>) -> Vec<(Image, Image)> {
@@ -310,23 +322,31 @@ fn by_name(left: Vec<Image>, right: Vec<Image>) -> Vec<(Image, Image)> {
     left.into_iter().filter_map(|image| right.remove(&image.key).map(|other| (image, other))).collect()
 }
 
+/// The nearest of the other camera's images, where it is near enough and has none that is nearer.
 fn by_time(mut left: Vec<Image>, mut right: Vec<Image>) -> Vec<(Image, Image)> {
     left.sort_by_key(|image| image.at_ns);
     right.sort_by_key(|image| image.at_ns);
     let at = |image: &Image| image.at_ns.unwrap_or_default();
-    let mut intervals: Vec<i64> = left.windows(2).map(|two| at(&two[1]) - at(&two[0])).collect();
+    let apart = |a: &Image, b: &Image| at(a).abs_diff(at(b));
+    let mut intervals: Vec<i64> = left.windows(2).map(|two| at(&two[1]).saturating_sub(at(&two[0]))).collect();
     intervals.sort_unstable();
-    let tolerance = intervals.get(intervals.len() / 2).map_or(0, |interval| interval / SHARE_OF_INTERVAL);
+    let share = intervals.get(intervals.len() / 2).map_or(TOGETHER_NS, |interval| interval / SHARE_OF_INTERVAL);
+    let tolerance = TOGETHER_NS.min(share).unsigned_abs();
     let mut pairs = Vec::new();
-    let (mut left, mut right) = (left.into_iter().peekable(), right.into_iter().peekable());
-    while let (Some(a), Some(b)) = (left.peek(), right.peek()) {
-        let apart = at(a) - at(b);
-        if apart.abs() <= tolerance {
-            pairs.extend(left.next().zip(right.next()));
-        } else if apart < 0 {
-            left.next();
+    let (mut l, mut r) = (0, 0);
+    while let (Some(a), Some(b)) = (left.get(l), right.get(r)) {
+        let here = apart(a, b);
+        if left.get(l + 1).is_some_and(|next| apart(next, b) < here) {
+            l += 1;
+        } else if right.get(r + 1).is_some_and(|next| apart(a, next) < here) {
+            r += 1;
+        } else if here <= tolerance {
+            pairs.push((a.clone(), b.clone()));
+            (l, r) = (l + 1, r + 1);
+        } else if at(a) < at(b) {
+            l += 1;
         } else {
-            right.next();
+            r += 1;
         }
     }
     pairs
@@ -382,6 +402,22 @@ mod tests {
             .map(|frame| (frame.at_ns, frame.right.as_ref().and_then(|path| path.file_name()).expect("a pair")))
             .collect();
         assert_eq!(names, [(0, "x.png".as_ref()), (100_000_000, "y.png".as_ref())]);
+    }
+
+    #[test]
+    fn an_image_is_paired_with_the_nearest_and_times_must_be_possible() {
+        let list = |times: &[i64]| times.iter().map(|ms| format!("{},{ms}.png\n", ms * 1_000_000)).collect::<String>();
+        let (left, right) = (list(&[0, 50, 97, 100, 150]), list(&[0, 50, 100, 153, 170]));
+        let folder = Folder::with("near", &[("cam0/data.csv", &left), ("cam1/data.csv", &right)]);
+        assert_eq!(folder.exposures(Content::Pairs), (vec![0, 50, 100, 150], 2));
+        assert_eq!(folder.open(Content::Pairs).expect("a sequence").apart_ns, 3_000_000);
+        let far = format!("{},a.png\n0,b.png\n{},c.png\n", i64::MIN, i64::MAX);
+        let folder = Folder::with("far", &[("cam0/data.csv", &far), ("cam1/data.csv", &far)]);
+        let error = folder.open(Content::Pairs).expect_err("refused").to_string();
+        assert!(error.contains("within a week"), "{error}");
+        let one = |at: &str| format!("{at},a.png\n");
+        let folder = Folder::with("one", &[("cam0/data.csv", &one("1000000")), ("cam1/data.csv", &one("1012000"))]);
+        assert_eq!(folder.exposures(Content::Pairs), (vec![0], 0));
     }
 
     #[test]
@@ -445,14 +481,5 @@ mod tests {
         let alone = Folder::with("alone", &[("left/a.png", ""), ("right/b.png", "")]);
         let error = alone.open(Content::Pairs).expect_err("refused").to_string();
         assert!(error.contains("2 have no counterpart"), "{error}");
-    }
-
-    #[test]
-    fn times_keep_their_nanoseconds() {
-        assert_eq!(time_in("1403715273262142976"), Some(1_403_715_273_262_142_976));
-        assert_eq!(time_in("1403715273262142"), Some(1_403_715_273_262_142_000));
-        assert_eq!(time_in("1305031102.160407"), Some(1_305_031_102_160_407_000));
-        assert_eq!((time_in("000042"), time_in("frame.1"), time_in("99999999999999999999")), (None, None, None));
-        assert_eq!(seconds_as_ns("1.5e+01"), Some(15_000_000_000));
     }
 }
