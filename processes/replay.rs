@@ -33,7 +33,7 @@ use supervisor::{ATTENTION, ChildCommand, Happening, SignalWatch, Supervision};
 Examples:
   sparrowhawk replay left.png right.png --calib calib.txt --out seen
   sparrowhawk replay V1_01_easy --calib V1_01_easy/mav0
-  sparrowhawk replay rgbd_dataset/depth --source depth --unit 0.0002 --focal 525 --baseline 0.075 --sigma-px 0.05
+  sparrowhawk replay rgbd_dataset/depth --source depth --unit 0.0002 --focal 525 --baseline 0.075 --sigma-px 0.06
   sparrowhawk replay --camera /dev/video0 --pixel-format mjpeg --calib calibration.ron --frames 300"
 )]
 pub(crate) struct ReplayArguments {

@@ -55,7 +55,8 @@ pub trait Connect {
     fn writes<T: Topic>(&mut self);
 }
 
-/// A pure core with its topics attached. Reads no clock, opens no file, starts no thread, draws no unseeded number.
+/// A pure core with its topics attached. Reads no clock, opens no file, starts no thread, draws no unseeded number; but for
+/// those at the graph's edge, which stand for the world: simulator, player, camera and recorder.
 pub trait Process {
     /// Which node of the graph this is.
     const ID: ProcessId;

@@ -73,20 +73,19 @@ fn noise_of_a_real_depth_camera_is_a_constant_disparity() {
         deviations(&disparity, &mut found);
     }
     let noise =
-        NoiseModel { sigma_px: 0.05, sigma_m: 0.0, lambda_near: 3.0, lambda_far: 1.0, near_px: 20.0, far_px: 8.0 };
+        NoiseModel { sigma_px: 0.06, sigma_m: 0.0, lambda_near: 3.0, lambda_far: 1.0, near_px: 20.0, far_px: 8.0 };
     for (from_m, to_m) in [(0.9, 1.2), (1.2, 1.6), (1.6, 2.0), (2.0, 2.5), (2.5, 3.0)] {
         let mut here: Vec<f64> =
             found.iter().filter(|(depth_m, _)| (from_m..to_m).contains(depth_m)).map(|found| found.1).collect();
         here.sort_by(f64::total_cmp);
         assert!(here.len() > 200, "{from_m} m: {} windows", here.len());
-        // Edges and curved things make most windows deviate more than the sensor does.
-        let (sigma_px, depth_m) = (here[here.len() / 4], 0.5 * (from_m + to_m));
+        let (sigma_px, depth_m) = (here[here.len() / 2], 0.5 * (from_m + to_m));
         let fb = RIG.focal_baseline_px_m();
         let model_px = f64::from(noise.at(RIG.disparity_px(depth_m) as f32, fb as f32));
         println!(
             "{from_m} to {to_m} m: sigma {sigma_px:.3} px, {:.1} mm; model {model_px:.3} px",
             1e3 * sigma_px * depth_m * depth_m / fb
         );
-        assert!((0.7..1.4).contains(&(sigma_px / model_px)), "{from_m} m: {sigma_px} px");
+        assert!((0.8..1.25).contains(&(sigma_px / model_px)), "{from_m} m: {sigma_px} px");
     }
 }
