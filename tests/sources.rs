@@ -248,7 +248,8 @@ fn one_camera_that_delivers_both_images_side_by_side_is_split() {
     let arguments = ["--camera", "/dev/zero", "--frames", "10"];
     let (summary, _) = replay_virtual(&run, &driver, [both, Vec::new()], "320x120", "", &arguments);
     let frames = &summary["frames"];
-    assert_eq!((&frames["shown"], &frames["left_out"]), (&10.into(), &0.into()), "{summary}");
+    // A frame may come before there is a flight time to date it by.
+    assert!(frames["shown"] == 10 && frames["left_out"].as_u64().is_some_and(|count| count <= 1), "{summary}");
     assert!(right_percent(&run.path("made-disparity.png")) > 95.0);
 }
 

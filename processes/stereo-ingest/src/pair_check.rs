@@ -2,10 +2,9 @@
 //!
 //! Blindness (covered, black, saturated) is seen in a frame's statistics. Swapped images and rows that do not match are
 //! seen by following a textured patch of each frame into the other image: votes of the last few dozen decide. Such a pair
-//! must not be matched: what would be found is not there. Rows less than 3/4 px apart pass, as many real rigs' are. Images of
-//! which hardly a patch is in the other one do not belong together: not of one moment. With rows more than 7 px apart many
-//! scenes look like that, but not all. Until there are a dozen votes nothing is said; most first
-//! frames give so many at once.
+//! must not be matched: what would be found is not there. Rows less than 3/4 px apart pass, as many real rigs' are; so do
+//! those more than 7 px apart, and images of different moments: where little can be followed, sound pairs look the same.
+//! Until there are a dozen votes nothing is said; most first frames give so many at once.
 
 use ipc_types::StereoRig;
 
@@ -24,8 +23,6 @@ pub enum PairFault {
     Swapped,
     /// The images are shifted against each other by rows.
     RowsShifted,
-    /// The images do not show the same.
-    Unrelated,
 }
 
 impl PairFault {
@@ -38,7 +35,6 @@ impl PairFault {
             Self::Unequal => "one lens is covered, fogged or out of focus",
             Self::Swapped => "left and right images are swapped",
             Self::RowsShifted => "rows of the images do not match: calibration?",
-            Self::Unrelated => "the images do not show the same: rows far apart?",
         }
     }
 
@@ -61,18 +57,8 @@ pub struct PairCheck {
     /// The last votes: column shift and row shift, px.
     votes: [Vote; MEMORY],
     count: usize,
-    /// Patches followed so far, and what became of the last ones.
+    /// Patches followed so far.
     followed: usize,
-    outcomes: [Followed; FOLLOWED],
-}
-
-/// What became of a patch that was looked for in the other image.
-#[derive(Clone, Copy, Debug, Default)]
-struct Followed {
-    /// Whether anything like it is there.
-    is_found: bool,
-    /// Where it is in one place alone.
-    vote: Option<Vote>,
 }
 
 #[derive(Clone, Copy, Debug, Default)]
@@ -85,14 +71,9 @@ struct Vote {
 const MEMORY: usize = 48;
 /// Fewer decide nothing.
 const QUORUM: usize = 12;
-/// Patches followed in each of the first frames, before one a frame must do: following one takes long enough.
+/// Patches followed before one a frame must do, and in each frame until then: following one takes long enough.
+const FIRST: usize = 8 * QUORUM;
 const EAGER: usize = 32;
-/// Patches by which images are told that do not belong together.
-const FOLLOWED: usize = 256;
-/// Of these: fewer votes for like rows together with a smaller share found at all are chance. Sound pairs with little that
-/// can be followed have few votes too, but a quarter found; unrelated ones have an eighth.
-const LEAST_COHERENT: usize = 7;
-const LEAST_FOUND: f64 = 0.18;
 /// So many times in a row no patch to follow, and a frame has none.
 const BLANK: usize = 8;
 /// Places looked at in each frame for a patch to follow.
@@ -116,7 +97,6 @@ impl PairCheck {
             votes: [Vote::default(); MEMORY],
             count: 0,
             followed: 0,
-            outcomes: [Followed::default(); FOLLOWED],
         }
     }
 
@@ -130,7 +110,7 @@ impl PairCheck {
             _ if a.texture.max(b.texture) > 3.0 * a.texture.min(b.texture) + 1.0 => Some(PairFault::Unequal),
             _ => {
                 // The first frames must not be trusted for want of votes.
-                let patches = FOLLOWED.saturating_sub(self.followed).clamp(1, EAGER);
+                let patches = FIRST.saturating_sub(self.followed).clamp(1, EAGER);
                 let mut blank = 0;
                 for _ in 0..patches {
                     blank = if (0..PROBES).any(|_| self.follow_next(left, right)) { 0 } else { blank + 1 };
@@ -157,17 +137,15 @@ impl PairCheck {
         let x = margin + ((place * 0.754_877_666).fract() * columns as f64) as usize;
         let y = margin + ((place * 0.569_840_291).fract() * rows as f64) as usize;
         let Some(patch) = Patch::at(left, self.width, x, y).filter(Patch::is_corner) else { return false };
-        let outcome = self.follow(&patch, right, x, y);
-        self.outcomes[self.followed % FOLLOWED] = outcome;
         self.followed += 1;
-        if let Some(vote) = outcome.vote {
+        if let Some(vote) = self.follow(&patch, right, x, y) {
             self.votes[self.count % MEMORY] = vote;
             self.count += 1;
         }
         true
     }
 
-    fn follow(&self, patch: &Patch, right: &[u8], x: usize, y: usize) -> Followed {
+    fn follow(&self, patch: &Patch, right: &[u8], x: usize, y: usize) -> Option<Vote> {
         let reach = self.reach as i32;
         // The least difference of each column shift, with its row shift.
         let candidate = |shift: i32| -> Option<(f32, i32)> {
@@ -193,25 +171,13 @@ impl PairCheck {
         }
         let (least, shift, rows) = best;
         // Found: much better than anywhere else, and not merely the least bad.
-        let is_found = least <= 0.4 * patch.contrast;
-        let is_alone = least <= 0.6 * second && least <= 0.5 * patch.contrast && rows.abs() < ROWS;
-        let vote = if is_alone { Self::vote(patch, right, self.width, (x, y), (shift, rows), least) } else { None };
-        Followed { is_found, vote }
-    }
-
-    /// The vote of a patch found a shift and some rows away, to a fraction of a row.
-    fn vote(
-        patch: &Patch,
-        right: &[u8],
-        width: usize,
-        (x, y): (usize, usize),
-        (shift, rows): (i32, i32),
-        least: f32,
-    ) -> Option<Vote> {
+        if least > 0.6 * second || least > 0.5 * patch.contrast || rows.abs() == ROWS {
+            return None;
+        }
         let column = x.checked_add_signed(-shift as isize)?;
         let beside = |step: i32| {
             let row = y.checked_add_signed((rows + step) as isize)?;
-            Some(Patch::at(right, width, column, row)?.difference(patch))
+            Some(Patch::at(right, self.width, column, row)?.difference(patch))
         };
         let (above, below) = (beside(-1)?, beside(1)?);
         let slope = above.max(below) - least;
@@ -219,25 +185,7 @@ impl PairCheck {
         Some(Vote { shift, rows: rows as f32 + part })
     }
 
-    /// Whether hardly a patch of the last ones is in the other image at like rows.
-    fn is_unrelated(&self) -> bool {
-        let mut rows = [0.0; FOLLOWED];
-        let mut count = 0;
-        for vote in self.outcomes.iter().filter_map(|outcome| outcome.vote) {
-            rows[count] = vote.rows;
-            count += 1;
-        }
-        let rows = &mut rows[..count];
-        rows.sort_by(f32::total_cmp);
-        let coherent = rows.iter().filter(|row| (**row - rows[count / 2]).abs() < 1.0).count();
-        let found = self.outcomes.iter().filter(|outcome| outcome.is_found).count();
-        self.followed >= FOLLOWED && coherent < LEAST_COHERENT && (found as f64) < LEAST_FOUND * FOLLOWED as f64
-    }
-
     fn verdict(&self) -> Option<PairFault> {
-        if self.is_unrelated() {
-            return Some(PairFault::Unrelated);
-        }
         let votes = &self.votes[..self.count.min(MEMORY)];
         if votes.len() < QUORUM {
             return None;
@@ -398,18 +346,6 @@ mod tests {
         let lower = [&right[WIDTH..], &right[..WIDTH]].concat();
         assert_eq!(PairCheck::new(&RIG, 64).step(&left, &lower), Some(PairFault::RowsShifted));
         assert_eq!(PairCheck::new(&RIG, 64).step(&left, &right), None);
-    }
-
-    #[test]
-    fn images_that_do_not_belong_together_are_named() {
-        let (left, right) = pair();
-        let lower = [&right[20 * WIDTH..], &right[..20 * WIDTH]].concat();
-        assert_eq!(verdict(&left, &lower), Some(PairFault::Unrelated));
-        // A fence is found everywhere, and so in no place alone: nothing can be said.
-        let fence: Vec<u8> = (0..WIDTH * HEIGHT)
-            .map(|i| if (i % WIDTH / 5 + i / WIDTH / 5).is_multiple_of(2) { 60 } else { 190 })
-            .collect();
-        assert_ne!(verdict(&fence, &fence), Some(PairFault::Unrelated));
     }
 
     #[test]

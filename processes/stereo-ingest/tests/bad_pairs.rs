@@ -102,15 +102,6 @@ fn sound_pairs_pass() {
         let faults: Vec<_> = (0..500).filter_map(|_| check.step(left, right)).collect();
         println!("{room}: {faults:?}");
         assert_eq!(faults, [], "{room}");
-        // The left image of this room with the right one of another.
-        let other = data.join(format!("oakd_indoor_nogt/{}_right.png", if room == "desk" { "toy" } else { "desk" }));
-        let unrelated = StereoPair::load(&file("left"), &other).expect("a pair");
-        let (left, right) = unrelated.pixels.split_at(640 * 480);
-        let mut check = PairCheck::new(&rig, 128);
-        // Within a second or two.
-        let fault = (0..20).fold(None, |_, _| check.step(left, right));
-        println!("  with another's right image: {fault:?}");
-        assert_eq!(fault, Some(PairFault::Unrelated), "{room}");
     }
 }
 
@@ -123,10 +114,8 @@ fn what_cannot_be_matched_is_named_and_not_matched() {
         let dark_noise: Vec<u8> = (0..size).map(|i| 6 + (i.wrapping_mul(2_654_435_761) >> 20) as u8 % 4).collect();
         let width = scene.rig.width_px as usize;
         let shifted = [&right[width..], &right[..width]].concat();
-        let far = [&right[20 * width..], &right[..20 * width]].concat();
         for (name, left, right, expected) in [
             ("rows shifted by 1 px", left, &shifted, PairFault::RowsShifted),
-            ("rows shifted by 20 px", left, &far, PairFault::Unrelated),
             ("swapped", right, left, PairFault::Swapped),
             ("right black", left, &vec![0; size], PairFault::RightBlind),
             ("right saturated", left, &vec![255; size], PairFault::RightBlind),
