@@ -189,7 +189,7 @@ fn digest(
         }
         match supervision.attend(&services, ATTENTION) {
             // There may be something to tell already.
-            Happening::Signal(_) if gathered.figures.frames > 0 && !is_interrupted => is_interrupted = true,
+            Happening::Signal(_) if gathered.figures.disparity_images > 0 && !is_interrupted => is_interrupted = true,
             Happening::Signal(_) => return Err("interrupted".into()),
             Happening::RunEnded(process, how) => return Err(format!("{process} {how}").into()),
             Happening::Died(process, how) => eprintln!("sparrowhawk: {process} {how}: restarting it"),
@@ -269,7 +269,7 @@ impl Gathered {
             let products = self.products.entry(stamp.valid_ns).or_default();
             if self.last_ns.is_none_or(|last_ns| stamp.valid_ns <= last_ns) {
                 let valid = pixels.iter().filter(|&&pixel| is_valid(pixel)).count();
-                self.figures.frames = self.figures.frames.max(stamp.sequence);
+                self.figures.disparity_images = self.figures.disparity_images.max(stamp.sequence);
                 self.figures.valid_percent.push(100.0 * valid as f64 / pixels.len().max(1) as f64);
                 if products.frame_ns > 0 {
                     self.figures.stereo_ms.push((stamp.published_ns - products.frame_ns) as f64 * 1e-6);

@@ -22,7 +22,7 @@ pub(crate) struct FrameFigures {
     pub(crate) left_out: u64,
     pub(crate) shown: u64,
     /// Disparity images made of them.
-    pub(crate) frames: u64,
+    pub(crate) disparity_images: u64,
     pub(crate) first_exposure_ns: Option<i64>,
     pub(crate) duration_s: f64,
     pub(crate) valid_percent: Vec<f64>,
@@ -169,7 +169,7 @@ pub(crate) fn summarise(
         unpaired: figures.unpaired,
         left_out: figures.left_out,
         shown: figures.shown,
-        disparity_images: figures.frames,
+        disparity_images: figures.disparity_images,
         first_exposure_ns: figures.first_exposure_ns,
         duration_s: figures.duration_s,
         apart_ms: figures.apart_ns as f64 * 1e-6,

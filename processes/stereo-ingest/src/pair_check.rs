@@ -71,7 +71,8 @@ struct Vote {
 const MEMORY: usize = 48;
 /// Fewer decide nothing.
 const QUORUM: usize = 12;
-/// Patches followed before one a frame must do, and in each frame until then: following one takes long enough.
+/// Patches followed, where there is no quorum yet, before one a frame must do, and in each frame until then: following one
+/// takes long enough.
 const FIRST: usize = 8 * QUORUM;
 const EAGER: usize = 32;
 /// So many times in a row no patch to follow, and a frame has none.
@@ -110,11 +111,12 @@ impl PairCheck {
             _ if a.texture.max(b.texture) > 3.0 * a.texture.min(b.texture) + 1.0 => Some(PairFault::Unequal),
             _ => {
                 // The first frames must not be trusted for want of votes.
-                let patches = FIRST.saturating_sub(self.followed).clamp(1, EAGER);
+                let eager = if self.count < QUORUM { FIRST.saturating_sub(self.followed) } else { 0 };
+                let patches = eager.clamp(1, EAGER);
                 let mut blank = 0;
                 for _ in 0..patches {
                     blank = if (0..PROBES).any(|_| self.follow_next(left, right)) { 0 } else { blank + 1 };
-                    if blank == BLANK || self.count == QUORUM {
+                    if blank == BLANK || self.count >= QUORUM {
                         break;
                     }
                 }

@@ -4,7 +4,7 @@ use image::{DynamicImage, ImageReader, Luma};
 use ipc_types::StereoRig;
 use ipc_types::disparity::{NO_MATCH, SCALE, decode};
 use std::fs;
-use std::io::{self, Write};
+use std::io::{self, Cursor, Write};
 use std::path::Path;
 
 /// Largest calibration, bytes.
@@ -60,8 +60,9 @@ pub(crate) fn read_text(path: &Path, most: u64) -> Result<String, PairError> {
 }
 
 fn read_image(path: &Path) -> Result<DynamicImage, PairError> {
-    let reader = ImageReader::open(path).map_err(io_error(path))?.with_guessed_format().map_err(io_error(path))?;
-    if reader.format() == Some(image::ImageFormat::Jpeg) && !is_whole_jpeg(&fs::read(path).map_err(io_error(path))?) {
+    let bytes = fs::read(path).map_err(io_error(path))?;
+    let reader = ImageReader::new(Cursor::new(&bytes)).with_guessed_format().map_err(io_error(path))?;
+    if reader.format() == Some(image::ImageFormat::Jpeg) && !is_whole_jpeg(&bytes) {
         return Err(unusable(path, "is a JPEG file without an end: cut short"));
     }
     reader.decode().map_err(|source| PairError::Image { path: path.display().to_string(), source })

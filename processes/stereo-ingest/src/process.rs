@@ -71,55 +71,50 @@ impl StereoProcess {
         };
         Self { front_end, rig, report: Report::waiting("waiting for frames") }
     }
+}
 
-    fn is_of_the_rig(&self, width_px: u32, height_px: u32, elements: usize, per_pixel: usize) -> bool {
-        (width_px, height_px) == (self.rig.width_px, self.rig.height_px) && elements == per_pixel * self.rig.pixels()
+/// Whether a frame has the rig's size, and so many elements for each of its pixels.
+fn is_of_the_rig(rig: &StereoRig, size_px: (u32, u32), elements: usize, per_pixel: usize) -> bool {
+    size_px == (rig.width_px, rig.height_px) && elements == per_pixel * rig.pixels()
+}
+
+fn match_pair(front_end: &mut PairFrontEnd, rig: &StereoRig, report: &mut Report, ports: &mut impl Ports) -> Report {
+    let Some(frame) = ports.latest::<StereoFrames>() else {
+        return report.idle();
+    };
+    let header = *frame.header();
+    if !is_of_the_rig(rig, (header.width_px, header.height_px), frame.elements().len(), 2) {
+        return report.refuse("stereo frame is not of the rig's size");
     }
-
-    fn match_pair(&mut self, ports: &mut impl Ports) -> Report {
-        let Some(frame) = ports.latest::<StereoFrames>() else {
-            return self.report.idle();
-        };
-        let header = *frame.header();
-        if !self.is_of_the_rig(header.width_px, header.height_px, frame.elements().len(), 2) {
-            return self.report.refuse("stereo frame is not of the rig's size");
-        }
-        let FrontEnd::Pairs(front_end) = &mut self.front_end else { return self.report.idle() };
-        let mut fault = None;
-        ports.publish::<Disparity>(valid_at(header.stamp.valid_ns), self.rig.pixels(), |out, disparity| {
-            (out.width_px, out.height_px) = (header.width_px, header.height_px);
-            fault = front_end.step(frame.elements(), out, disparity);
-        });
-        match fault {
-            Some(fault) => self.report.degraded(fault.note()),
-            None => self.report.worked(),
-        }
-    }
-
-    fn convert_values(&mut self, ports: &mut impl Ports) -> Report {
-        let Some(frame) = ports.latest::<DepthFrames>() else {
-            return self.report.idle();
-        };
-        let header = *frame.header();
-        if !self.is_of_the_rig(header.width_px, header.height_px, frame.elements().len(), 1) {
-            return self.report.refuse("depth frame is not of the rig's size");
-        }
-        let FrontEnd::Values(table) = &self.front_end else { return self.report.idle() };
-        let mut valid = 0;
-        ports.publish::<Disparity>(valid_at(header.stamp.valid_ns), self.rig.pixels(), |out, disparity| {
-            (out.width_px, out.height_px) = (header.width_px, header.height_px);
-            valid = table.convert(frame.elements(), disparity);
-            out.valid = valid as u32;
-        });
-        match valid {
-            0 => self.report.degraded("the depth sensor measures nothing"),
-            _ => self.report.worked(),
-        }
+    let mut fault = None;
+    ports.publish::<Disparity>(FlightTime::from_nanos(header.stamp.valid_ns), rig.pixels(), |out, disparity| {
+        (out.width_px, out.height_px) = (header.width_px, header.height_px);
+        fault = front_end.step(frame.elements(), out, disparity);
+    });
+    match fault {
+        Some(fault) => report.degraded(fault.note()),
+        None => report.worked(),
     }
 }
 
-fn valid_at(valid_ns: i64) -> FlightTime {
-    FlightTime::from_nanos(valid_ns)
+fn convert_values(table: &ValueTable, rig: &StereoRig, report: &mut Report, ports: &mut impl Ports) -> Report {
+    let Some(frame) = ports.latest::<DepthFrames>() else {
+        return report.idle();
+    };
+    let header = *frame.header();
+    if !is_of_the_rig(rig, (header.width_px, header.height_px), frame.elements().len(), 1) {
+        return report.refuse("depth frame is not of the rig's size");
+    }
+    let mut valid = 0;
+    ports.publish::<Disparity>(FlightTime::from_nanos(header.stamp.valid_ns), rig.pixels(), |out, disparity| {
+        (out.width_px, out.height_px) = (header.width_px, header.height_px);
+        valid = table.convert(frame.elements(), disparity);
+        out.valid = valid as u32;
+    });
+    match valid {
+        0 => report.degraded("the depth sensor measures nothing"),
+        _ => report.worked(),
+    }
 }
 
 impl Process for StereoProcess {
@@ -134,9 +129,9 @@ impl Process for StereoProcess {
     }
 
     fn step<P: Ports>(&mut self, ports: &mut P) -> Report {
-        match self.front_end {
-            FrontEnd::Pairs(_) => self.match_pair(ports),
-            FrontEnd::Values(_) => self.convert_values(ports),
+        match &mut self.front_end {
+            FrontEnd::Pairs(front_end) => match_pair(front_end, &self.rig, &mut self.report, ports),
+            FrontEnd::Values(table) => convert_values(table, &self.rig, &mut self.report, ports),
         }
     }
 }

@@ -2,6 +2,7 @@
 
 use super::device::{CameraConfig, Device, Taken};
 use super::pixel_format::{Layout, PixelFormat, Unusable};
+use super::together;
 use crate::source::Source;
 use ipc_types::topics::{DepthFrames, StereoFrames};
 use ipc_types::{FlightTime, HostTime, ProcessId, StereoRig};
@@ -15,8 +16,6 @@ use std::time::Duration;
 const PATIENCE: Duration = Duration::from_millis(20);
 /// A camera that delivers nothing for so long is degraded.
 const SILENCE: Duration = Duration::from_millis(500);
-/// Frames of two cameras that are farther apart were not exposed together; or than a quarter of their interval.
-const TOGETHER: Duration = Duration::from_millis(5);
 /// Between attempts to open a camera that failed.
 const REOPEN: Duration = Duration::from_secs(1);
 
@@ -145,7 +144,7 @@ impl CameraProcess {
         let left = self.eyes.first()?.taken?;
         let Some(right) = self.eyes.get(1).map(|eye| eye.taken) else { return Some(left) };
         let right = right?;
-        let tolerance_s = TOGETHER.as_secs_f64().min(0.25 / self.config.rate_hz);
+        let tolerance_s = together(Duration::from_secs_f64(1.0 / self.config.rate_hz)).as_secs_f64();
         let apart_s = left.at.seconds_since(right.at);
         if apart_s.abs() <= tolerance_s {
             return Some(left);

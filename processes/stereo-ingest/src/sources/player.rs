@@ -1,6 +1,6 @@
 //! The player process: feeds the graph from image files instead of cameras.
 
-use super::sequence::{FrameImage, Sequence};
+use super::sequence::{FrameImage, Sequence, SequenceFrame};
 use ipc_types::messages::{FlightClock, VehicleState};
 use ipc_types::topics::{Clock, DepthFrames, HealthReports, State, StereoFrames};
 use ipc_types::{FlightTime, HostTime, ProcessId};
@@ -71,8 +71,7 @@ impl Player {
     /// Reads the next frame ahead; leaves it out if it cannot be read or is of another size. One file at a time, so that the
     /// vehicle goes on meanwhile.
     fn read_ahead(&mut self, now: FlightTime) {
-        let Some(sequence) = &self.sequence else { return };
-        let Some(frame) = sequence.frames.get(self.next) else { return };
+        let Some(frame) = self.frame() else { return };
         let problem = match frame.load() {
             Ok(image) if image.size_px() == self.size_px => {
                 (self.ahead, self.is_ahead) = (Some(image), true);
@@ -88,19 +87,23 @@ impl Player {
         eprintln!("sparrowhawk: left out: {problem}");
         self.report.dropped += 1;
         self.next += 1;
-        self.again = (self.next == sequence.frames.len()).then_some(now);
+        self.again = self.frame().is_none().then_some(now);
     }
 
-    /// Whether the next frame has still to be read.
+    /// The frame to be shown next; none once all have been.
+    fn frame(&self) -> Option<&SequenceFrame> {
+        self.sequence.as_ref()?.frames.get(self.next)
+    }
+
+    /// Whether it has still to be read.
     fn must_read(&self) -> bool {
-        let has_more = self.sequence.as_ref().is_some_and(|sequence| self.next < sequence.frames.len());
-        self.begins.is_some() && has_more && !self.is_ahead
+        self.begins.is_some() && self.frame().is_some() && !self.is_ahead
     }
 
     /// Exposure of the next frame, or of the next showing of the last.
     fn due(&self) -> Option<FlightTime> {
         let begins = self.begins?;
-        match self.sequence.as_ref()?.frames.get(self.next) {
+        match self.frame() {
             Some(frame) => Some(FlightTime::from_nanos(begins.as_nanos().saturating_add(frame.at_ns))),
             None => self.again,
         }
@@ -127,8 +130,7 @@ impl Player {
             self.again = Some(exposure + AGAIN_INTERVAL);
         } else {
             self.next += 1;
-            let has_more = self.sequence.as_ref().is_some_and(|sequence| self.next < sequence.frames.len());
-            self.again = (!has_more).then(|| exposure + AGAIN_INTERVAL);
+            self.again = self.frame().is_none().then(|| exposure + AGAIN_INTERVAL);
         }
     }
 }

@@ -6,6 +6,7 @@
 //! else a rate is assumed. What has no counterpart in the other camera is counted, never guessed.
 
 use super::times::{date_as_ns, seconds_as_ns, time_in};
+use super::together;
 use crate::pairs::{DepthImage, PairError, StereoPair, read_text, unusable};
 use std::collections::HashMap;
 use std::fs;
@@ -101,9 +102,6 @@ const SIDES: [(&str, &str); 8] = [
 const WORDS: [(&str, &str); 4] = [("left", "right"), ("im0", "im1"), ("cam0", "cam1"), ("infra1", "infra2")];
 /// Where depth images are, in a folder of other things.
 const DEPTH_FOLDERS: [&str; 3] = ["depth", "disp_0", "disparity"];
-/// Images of one exposure are no farther apart than a share of the interval between exposures, and than this, ns.
-const SHARE_OF_INTERVAL: i64 = 4;
-const TOGETHER_NS: i64 = 5_000_000;
 /// Longer sequences than a week have wrong times.
 const LONGEST_NS: i64 = 7 * 24 * 3600 * 1_000_000_000;
 /// Largest list of times, bytes: a day at 20 Hz.
@@ -160,8 +158,8 @@ impl Sequence {
         rate_hz: f64,
     ) -> Result<Self, PairError> {
         found.sort();
-        let first_ns =
-            found.iter().map(|(at, ..)| *at).collect::<Option<Vec<_>>>().and_then(|all| all.first().copied());
+        // Those without a time come first: if the first one has one, all have.
+        let first_ns = found.first().and_then(|(at, ..)| *at);
         let mut frames: Vec<SequenceFrame> = Vec::with_capacity(found.len());
         for (index, (at, left, right)) in found.into_iter().enumerate() {
             let at_ns = match (first_ns, at) {
@@ -276,10 +274,7 @@ fn listed(list: &Path, images: &Path) -> Result<Vec<Image>, PairError> {
 fn depth_images(folder: &Path) -> Result<Vec<Image>, PairError> {
     let inner = DEPTH_FOLDERS.iter().map(|name| folder.join(name)).find(|inner| inner.is_dir());
     let files = image_files(inner.as_deref().unwrap_or(folder))?;
-    let is_depth = |path: &&PathBuf| {
-        let extension = path.extension().map(|extension| extension.to_string_lossy().to_lowercase());
-        extension.is_some_and(|extension| extension == "png" || extension == "pgm")
-    };
+    let is_depth = |path: &&PathBuf| has_extension(path, &["png", "pgm"]);
     let says_depth = |path: &&PathBuf| Image::named(path, "depth").is_some();
     let named: Vec<Image> = files.iter().filter(is_depth).filter(says_depth).map(|path| Image::of(path)).collect();
     if !named.is_empty() {
@@ -290,16 +285,18 @@ fn depth_images(folder: &Path) -> Result<Vec<Image>, PairError> {
 
 /// Image files of a folder, in the order of their names.
 fn image_files(folder: &Path) -> Result<Vec<PathBuf>, PairError> {
-    const EXTENSIONS: [&str; 6] = ["png", "jpg", "jpeg", "pgm", "ppm", "bmp"];
     let entries =
         fs::read_dir(folder).map_err(|source| PairError::Io { path: folder.display().to_string(), source })?;
-    let is_image = |path: &PathBuf| {
-        let extension = path.extension().map(|extension| extension.to_string_lossy().to_ascii_lowercase());
-        extension.is_some_and(|extension| EXTENSIONS.contains(&extension.as_str()))
-    };
+    let is_image = |path: &PathBuf| has_extension(path, &["png", "jpg", "jpeg", "pgm", "ppm", "bmp"]);
     let mut files: Vec<PathBuf> = entries.flatten().map(|entry| entry.path()).filter(is_image).collect();
     files.sort();
     Ok(files)
+}
+
+/// Whether a file is of one of the kinds, in upper or lower case.
+fn has_extension(path: &Path, extensions: &[&str]) -> bool {
+    let extension = path.extension().map(|extension| extension.to_string_lossy().to_lowercase());
+    extension.is_some_and(|extension| extensions.contains(&extension.as_str()))
 }
 
 impl Image {
@@ -330,8 +327,8 @@ fn by_time(mut left: Vec<Image>, mut right: Vec<Image>) -> Vec<(Image, Image)> {
     let apart = |a: &Image, b: &Image| at(a).abs_diff(at(b));
     let mut intervals: Vec<i64> = left.windows(2).map(|two| at(&two[1]).saturating_sub(at(&two[0]))).collect();
     intervals.sort_unstable();
-    let share = intervals.get(intervals.len() / 2).map_or(TOGETHER_NS, |interval| interval / SHARE_OF_INTERVAL);
-    let tolerance = TOGETHER_NS.min(share).unsigned_abs();
+    let interval = intervals.get(intervals.len() / 2).map_or(u64::MAX, |interval| interval.unsigned_abs());
+    let tolerance = together(Duration::from_nanos(interval)).as_nanos() as u64;
     let mut pairs = Vec::new();
     let (mut l, mut r) = (0, 0);
     while let (Some(a), Some(b)) = (left.get(l), right.get(r)) {
