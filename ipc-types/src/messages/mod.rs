@@ -19,7 +19,7 @@ mod world_truth;
 
 pub use depth_frame::DepthFrame;
 pub use disparity_image::DisparityImage;
-pub use expanded_image::{ExpandedImage, ExpandedPlanes, NEVER_OCCUPIED, UNKNOWN_FRONT};
+pub use expanded_image::{ExpandedCells, ExpandedImage, ExpandedLayout, Layers, NEVER_OCCUPIED, Seen, UNKNOWN_FRONT};
 pub use flight_clock::FlightClock;
 pub use flown_path::{FlownPath, PathPoint};
 pub use goal::Goal;

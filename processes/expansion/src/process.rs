@@ -45,18 +45,19 @@ impl Process for ExpansionProcess {
         if image.elements().len() != self.pixels {
             return self.report.refuse("disparity image is not of the rig's size");
         }
-        let (expander, radius_m) = (&mut self.expander, self.radius_m);
-        ports.publish::<Expanded>(valid, 3 * self.pixels, |out, planes| {
+        let (layout, radius_m) = (self.expander.layout(), self.radius_m);
+        let expander = &mut self.expander;
+        ports.publish::<Expanded>(valid, layout.elements(), |out, elements| {
             // The size was checked above, so this cannot fail; were it to, nothing would be vouched for.
-            let unknown_share = match expander.step(image.elements(), planes) {
+            let unknown_share = match expander.step(image.elements(), elements) {
                 Ok(expansion) => expansion.unknown_share,
                 Err(_) => {
-                    planes.fill(0);
+                    elements.fill(0);
                     1.0
                 }
             };
-            out.width_px = header.width_px;
-            out.height_px = header.height_px;
+            (out.width_px, out.height_px) = (layout.width_px, layout.height_px);
+            (out.margin_px, out.layers) = (layout.margin_px, layout.layers.count());
             out.radius_m = radius_m;
             out.unknown_share = unknown_share;
         });

@@ -3,7 +3,7 @@
 //! A sparse table read backwards: an update of length n touches two cells of level ⌊log₂ n⌋, and at the end
 //! every level is pushed into the one below with two contiguous maxima, which vectorise.
 
-use multiversion::multiversion;
+use crate::inflate::Spread;
 
 /// Scratch for rows of one length.
 #[derive(Debug)]
@@ -12,15 +12,16 @@ pub(crate) struct RangeMax {
     length: usize,
 }
 
-impl RangeMax {
-    pub(crate) fn new(length: usize) -> Self {
+impl Spread for RangeMax {
+    const VALUES: usize = 1;
+
+    fn new(length: usize) -> Self {
         let count = length.max(1).ilog2() as usize + 1;
         Self { levels: vec![0; count * length], length }
     }
 
-    /// Raises `first..=last` to at least `value`. Both ends must lie in the row.
     #[inline(always)]
-    pub(crate) fn raise(&mut self, first: usize, last: usize, value: u16) {
+    fn raise(&mut self, first: usize, last: usize, value: u16) {
         let level = (last + 1 - first).ilog2() as usize;
         let row = &mut self.levels[level * self.length..(level + 1) * self.length];
         row[first] = row[first].max(value);
@@ -28,15 +29,14 @@ impl RangeMax {
         row[second] = row[second].max(value);
     }
 
-    /// Writes the maxima to `out` (zero where nothing was raised) and clears the scratch.
-    pub(crate) fn finish(&mut self, out: &mut [u16]) {
+    #[inline(always)]
+    fn finish(&mut self, out: &mut [u16]) {
         let length = self.length;
         for level in (1..self.levels.len() / length).rev() {
             let (below, this) = self.levels.split_at_mut(level * length);
             let below = &mut below[(level - 1) * length..];
             let this = &mut this[..length];
-            let half = 1 << (level - 1);
-            push_down(below, this, half);
+            push_down(below, this, 1 << (level - 1));
             this.fill(0);
         }
         out.copy_from_slice(&self.levels[..length]);
@@ -45,7 +45,7 @@ impl RangeMax {
 }
 
 /// Every cell of `this` covers two cells of `below`: its own, and the one `half` further on.
-#[multiversion(targets("x86_64+avx2", "x86_64+sse4.1", "aarch64+neon"))]
+#[inline(always)]
 fn push_down(below: &mut [u16], this: &[u16], half: usize) {
     for (cell, &value) in below.iter_mut().zip(this) {
         *cell = (*cell).max(value);

@@ -1,95 +1,126 @@
-//! From a disparity pixel to the planes, by table: one entry per fixed-point value.
+//! From a disparity pixel to the layers, by table: one entry per 16-bit value.
 //!
-//! A *key* is what the windowed maximum competes on: the near end d + λσ of a surface's interval in fixed point,
-//! even for a measured surface ("hard"), odd for the limit that the far-background rule grants ("soft").
+//! A *value* is what the windowed maximum competes on: the near end d + λσ of a surface's interval in fixed point, even for
+//! a measured surface ("hard"), odd for the limit that the far-background rule grants ("soft"), 0 for nothing.
 //! All rounding is towards the camera for fronts and away from it for backs.
 
-use crate::Config;
 use ipc_types::StereoRig;
 use ipc_types::disparity::{MINIMUM, SCALE, is_valid};
 use ipc_types::messages::{NEVER_OCCUPIED, UNKNOWN_FRONT};
 use ipc_types::noise::NoiseModel;
 
-/// Nearest range that a plane can express.
-const NEAREST: u16 = UNKNOWN_FRONT - 1;
+/// Nearest range that a layer can express.
+pub(crate) const NEAREST: u16 = UNKNOWN_FRONT - 1;
+/// Number of 16-bit values.
+const VALUES: usize = 1 << 16;
+
+/// Radius over depth of values, which an inflation needs.
+pub(crate) trait Radii: Sync {
+    /// Of every value of a line.
+    fn over_depths(&self, values: &[u16], out: &mut [f32]);
+}
 
 #[derive(Debug)]
 pub(crate) struct Tables {
-    /// Hard key of a disparity pixel; 0 for codes.
-    near: Vec<u16>,
-    /// Front plane of a key.
-    front: Vec<u16>,
-    /// Back plane of a key.
-    back: Vec<u16>,
-    /// Radius / depth of a key.
-    radius_over_depth: Vec<f32>,
+    rig: StereoRig,
+    noise: NoiseModel,
+    radius_m: f64,
+    /// Hard value of a disparity pixel; 0 for codes.
+    hard: Vec<u16>,
+    /// Front and back of a value.
+    faces: Vec<[u16; 2]>,
+    /// Radius over depth: what it rises with a value, and where it begins.
+    slope: f32,
+    offset: f32,
 }
 
 impl Tables {
-    pub(crate) fn new(rig: &StereoRig, noise: &NoiseModel, config: &Config) -> Self {
-        let values = usize::from(u16::MAX) + 1;
-        let radius_m = f64::from(config.radius_m);
-        let px = |value: usize| value as f32 / SCALE;
-        let focal_baseline = rig.focal_baseline_px_m() as f32;
-        let near: Vec<u16> = (0..values)
-            .map(|value| {
-                let (near_px, _) = noise.ends_px(px(value) + rig.doffs_px as f32, focal_baseline);
-                let end = f32::from(u16::MAX - 1).min((near_px - rig.doffs_px as f32) * SCALE).ceil() as u16;
-                if is_valid(value as u16) { (end + (end & 1)).min(u16::MAX - 1) } else { 0 }
-            })
-            .collect();
-        let front = (0..values).map(|key| front_of(rig, radius_m, f64::from(px(key)))).collect();
-        let radius_over_depth = (0..values).map(|key| (radius_m / rig.depth_m(f64::from(px(key)))) as f32).collect();
-        Self { back: backs(rig, noise, radius_m, &near), near, front, radius_over_depth }
+    pub(crate) fn new(rig: StereoRig, noise: NoiseModel, radius_m: f64) -> Self {
+        let mut tables = Self {
+            hard: Vec::new(),
+            faces: Vec::new(),
+            slope: (radius_m / rig.focal_baseline_px_m() / f64::from(SCALE)) as f32,
+            offset: (radius_m / rig.focal_baseline_px_m() * rig.doffs_px) as f32,
+            rig,
+            noise,
+            radius_m,
+        };
+        let value = |pixel: usize| {
+            let end = (tables.interval_px(pixel as f32 / SCALE).0 * SCALE).min(f32::from(NEAREST)).ceil() as u16;
+            if is_valid(pixel as u16) { (end + (end & 1)).min(NEAREST) } else { 0 }
+        };
+        tables.hard = (0..VALUES).map(value).collect();
+        let front = |value: usize| tables.front_of(near_px(value as u16));
+        // Several disparities may share a value after rounding: going down from the nearest, the farthest writes last.
+        // Values that no disparity has are never looked up, and soft ones have no back.
+        let mut backs = vec![NEVER_OCCUPIED; VALUES];
+        for pixel in (usize::from(MINIMUM)..VALUES).rev() {
+            backs[usize::from(tables.hard[pixel])] = tables.back_of(pixel as u16);
+        }
+        tables.faces = backs.into_iter().enumerate().map(|(value, back)| [front(value), back]).collect();
+        tables
     }
 
     #[inline(always)]
-    pub(crate) fn hard_key(&self, pixel: u16) -> u16 {
-        self.near[usize::from(pixel)]
+    pub(crate) fn hard(&self, pixel: u16) -> u16 {
+        self.hard[usize::from(pixel)]
     }
 
-    #[inline(always)]
-    pub(crate) fn front(&self, key: u16) -> u16 {
-        self.front[usize::from(key)]
+    /// Soft value of the range up to which free space is granted.
+    pub(crate) fn soft(&self, range_m: f64) -> u16 {
+        let end = (self.rig.disparity_px(range_m) * f64::from(SCALE)).ceil();
+        let end = end.clamp(f64::from(MINIMUM), f64::from(NEAREST - 2)) as u16;
+        (end + (end & 1)) | 1
     }
 
+    /// Front and back.
     #[inline(always)]
-    pub(crate) fn back(&self, key: u16) -> u16 {
-        self.back[usize::from(key)]
+    pub(crate) fn faces(&self, value: u16) -> [u16; 2] {
+        self.faces[usize::from(value)]
     }
 
-    #[inline(always)]
-    pub(crate) fn radius_over_depth(&self, key: u16) -> f32 {
-        self.radius_over_depth[usize::from(key)]
+    pub(crate) fn rig(&self) -> &StereoRig {
+        &self.rig
+    }
+
+    pub(crate) fn radius_m(&self) -> f64 {
+        self.radius_m
+    }
+
+    /// Both ends of the interval of a measured disparity, px.
+    pub(crate) fn interval_px(&self, disparity_px: f32) -> (f32, f32) {
+        let doffs_px = self.rig.doffs_px as f32;
+        let (near_px, far_px) = self.noise.ends_px(disparity_px + doffs_px, self.rig.focal_baseline_px_m() as f32);
+        (near_px - doffs_px, far_px - doffs_px)
+    }
+
+    /// Eq. 3.6, front: disparity at depth z − r, saturated at the nearest range where z ≤ r.
+    pub(crate) fn front_of(&self, near_px: f64) -> u16 {
+        let depth_m = self.rig.depth_m(near_px) - self.radius_m;
+        if depth_m <= 0.0 {
+            return NEAREST;
+        }
+        (self.rig.disparity_px(depth_m) * f64::from(SCALE)).ceil().clamp(0.0, f64::from(NEAREST)) as u16
+    }
+
+    /// Eq. 3.6, back: disparity at depth z(d − λσ) + r of a disparity pixel.
+    pub(crate) fn back_of(&self, pixel: u16) -> u16 {
+        let far_px = self.interval_px(f32::from(pixel) / SCALE).1;
+        let depth_m = self.rig.depth_m(f64::from(far_px)) + self.radius_m;
+        (self.rig.disparity_px(depth_m) * f64::from(SCALE)).floor().clamp(0.0, f64::from(NEAREST)) as u16
     }
 }
 
-/// Soft key of the range up to which free space is granted.
-pub(crate) fn soft_key(rig: &StereoRig, range_m: f64) -> u16 {
-    let value = (rig.disparity_px(range_m) * f64::from(SCALE)).ceil().clamp(f64::from(MINIMUM), f64::from(NEAREST - 1));
-    value as u16 | 1
+/// The near end that a value stands for, px.
+pub(crate) fn near_px(value: u16) -> f64 {
+    f64::from(f32::from(value & !1) / SCALE)
 }
 
-/// Eq. 3.6, front: disparity at depth z − r, saturated at the nearest range where z ≤ r.
-fn front_of(rig: &StereoRig, radius_m: f64, near_px: f64) -> u16 {
-    let depth_m = rig.depth_m(near_px) - radius_m;
-    if depth_m <= 0.0 {
-        return NEAREST;
+impl Radii for Tables {
+    #[inline(always)]
+    fn over_depths(&self, values: &[u16], out: &mut [f32]) {
+        for (q, &value) in out.iter_mut().zip(values) {
+            *q = (f32::from(value & !1) * self.slope + self.offset).max(0.0);
+        }
     }
-    (rig.disparity_px(depth_m) * f64::from(SCALE)).ceil().clamp(0.0, f64::from(NEAREST)) as u16
-}
-
-/// Eq. 3.6, back: disparity at depth z(d − λσ) + r, for every key; soft keys have no back.
-fn backs(rig: &StereoRig, noise: &NoiseModel, radius_m: f64, near: &[u16]) -> Vec<u16> {
-    let mut backs = vec![NEVER_OCCUPIED; near.len()];
-    // Several disparities may share a key after rounding: going down from the nearest, the farthest writes last.
-    // Keys that no disparity has are never looked up.
-    for value in (usize::from(MINIMUM)..near.len()).rev() {
-        let d_px = value as f32 / SCALE;
-        let (_, far_px) = noise.ends_px(d_px + rig.doffs_px as f32, rig.focal_baseline_px_m() as f32);
-        let depth_m = rig.depth_m(f64::from(far_px - rig.doffs_px as f32)) + radius_m;
-        let back = (rig.disparity_px(depth_m) * f64::from(SCALE)).floor().clamp(0.0, f64::from(NEAREST));
-        backs[usize::from(near[value])] = back as u16;
-    }
-    backs
 }

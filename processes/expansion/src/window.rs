@@ -1,76 +1,147 @@
-//! Which pixels a sphere covers along one image axis.
+//! Which pixels an ellipsoid covers along one image axis.
 //!
 //! In the plane of the optical axis and one image axis, a sphere of radius r at slope x and depth z casts the shadow
 //! of a circle. With q = r/z the slopes of the circle's two tangents through the camera are
 //! (x ± q·√(1 + x² − q²)) / (1 − q²). They bound the sphere's silhouette whatever the other image coordinate is.
+//! √(c² − q²) is at most c − q²/2c, which is used for it: less than a hundredth of q too much while q < 1/2.
+//!
+//! An ellipsoid that is flatter or taller than wide is a sphere once that axis has been stretched.
 
-/// Tangent windows along one axis of the image.
-#[derive(Clone, Copy, Debug)]
+/// One side of every pixel: its slope, c = √(1 + slope²), and 1/2c.
+#[derive(Debug)]
+struct Side {
+    slope: Vec<f32>,
+    c: Vec<f32>,
+    half_per_c: Vec<f32>,
+}
+
+/// First and last place of the window of every pixel of a line.
+#[derive(Debug)]
+pub(crate) struct Windows {
+    pub(crate) first: Vec<u32>,
+    pub(crate) last: Vec<u32>,
+}
+
+impl Windows {
+    /// For lines of a length.
+    pub(crate) fn new(length: usize) -> Self {
+        Self { first: vec![0; length], last: vec![0; length] }
+    }
+}
+
+/// Tangent windows along one axis of the image. Windows lie in an expanded line, longer by a margin at both ends.
+#[derive(Debug)]
 pub(crate) struct Axis {
-    pub(crate) focal_px: f32,
-    pub(crate) centre_px: f32,
-    pub(crate) length_px: usize,
+    /// Pixels of the expanded line.
+    expanded_px: usize,
+    /// First and last side of every pixel.
+    sides: [Side; 2],
+    /// Stretched slope to pixels of the expanded line.
+    scale_px: f32,
+    offset_px: f32,
 }
 
 impl Axis {
-    /// Slope of a pixel's ray against the optical axis, without sign.
-    #[inline(always)]
-    pub(crate) fn slope(&self, pixel: usize) -> f32 {
-        ((pixel as f32 - self.centre_px) / self.focal_px).abs()
+    /// For lines of `length_px` pixels. Along this axis the ellipsoid is `stretch` as wide as in depth.
+    pub(crate) fn new(focal_px: f64, centre_px: f64, length_px: usize, margin_px: usize, stretch: f64) -> Self {
+        // From anywhere in the pixel: half a pixel to both sides.
+        let side = |half: f64| {
+            let slope = |pixel: usize| (pixel as f64 - centre_px + half) / (focal_px * stretch);
+            let each = |value: fn(f64) -> f64| (0..length_px).map(|pixel| value(slope(pixel)) as f32).collect();
+            Side {
+                slope: each(|x| x),
+                c: each(|x| (1.0 + x * x).sqrt()),
+                half_per_c: each(|x| 0.5 / (1.0 + x * x).sqrt()),
+            }
+        };
+        Self {
+            expanded_px: length_px + 2 * margin_px,
+            sides: [side(-0.5), side(0.5)],
+            scale_px: (focal_px * stretch) as f32,
+            offset_px: (centre_px + margin_px as f64) as f32,
+        }
     }
 
-    /// Pixels from this one to the nearer border, itself included.
-    pub(crate) fn to_border(self, pixel: usize) -> u16 {
-        (pixel + 1).min(self.length_px - pixel) as u16
+    /// Pixels of a line.
+    pub(crate) fn length_px(&self) -> usize {
+        self.sides[0].slope.len()
     }
 
-    /// First and last pixel whose rays may touch a sphere of `q` = radius / depth centred anywhere in `pixel`.
-    ///
-    /// Half a pixel is added on both sides for where in the pixel the surface is. At q ≥ 1 the camera is inside
-    /// the sphere: everything.
-    #[inline(always)]
-    pub(crate) fn window(&self, pixel: usize, q: f32) -> (i32, i32) {
-        let x = (pixel as f32 - self.centre_px) / self.focal_px;
-        let half = 0.5 / self.focal_px;
-        let outside = q < 0.999;
-        // Computed either way, without a branch, so that loops over pixels vectorise.
-        let q = if outside { q } else { 0.5 };
-        let denominator = 1.0 - q * q;
-        let (left, right) = (x - half, x + half);
-        let first = (left - q * (1.0 + left * left - q * q).sqrt()) / denominator;
-        let last = (right + q * (1.0 + right * right - q * q).sqrt()) / denominator;
-        let end = self.length_px as f32 - 1.0;
-        // A query is looked up in the pixel nearest to it, so rounding of the tangents is to the nearest too;
-        // the thousandth absorbs single-precision error. Not negative, so that truncation is rounding down.
-        let first = (self.centre_px + self.focal_px * first + 0.499).clamp(0.0, end);
-        let last = (self.centre_px + self.focal_px * last + 0.501).clamp(0.0, end);
-        let (first, last) = if outside { (first, last) } else { (0.0, end) };
-        (first as i32, last as i32)
+    /// Pixels of an expanded line.
+    pub(crate) fn expanded_px(&self) -> usize {
+        self.expanded_px
     }
+
+    /// First and last pixel of the expanded line whose rays may touch an ellipsoid of `q` = radius / depth centred
+    /// anywhere in each pixel of the line. At q ≥ 1 the camera is inside: everything.
+    #[inline(always)]
+    pub(crate) fn windows(&self, radius_over_depth: &[f32], windows: &mut Windows) {
+        let [left, right] = &self.sides;
+        self.ends(radius_over_depth, left, -1.0, -0.001, 0.0, &mut windows.first);
+        self.ends(radius_over_depth, right, 1.0, 0.001, self.expanded_px as f32 - 1.0, &mut windows.last);
+    }
+
+    /// One end of every window: `inside` where the camera is inside.
+    #[inline(always)]
+    fn ends(&self, radius_over_depth: &[f32], side: &Side, sign: f32, slack: f32, inside: f32, ends: &mut [u32]) {
+        let end = self.expanded_px as f32 - 1.0;
+        // A query is looked up in the pixel nearest to it, so rounding of the tangents is to the nearest too; the
+        // thousandth of `slack` absorbs single-precision error.
+        let offset = self.offset_px + slack;
+        // One length for all, so that the loop vectorises.
+        let length = ends.len();
+        let (radius_over_depth, slope) = (&radius_over_depth[..length], &side.slope[..length]);
+        let (c, half_per_c) = (&side.c[..length], &side.half_per_c[..length]);
+        for i in 0..length {
+            let outside = radius_over_depth[i] < 0.999;
+            // Computed either way, without a branch.
+            let q = if outside { radius_over_depth[i] } else { 0.5 };
+            let square = q * q;
+            let tangent = (slope[i] + sign * q * (c[i] - square * half_per_c[i])) / (1.0 - square);
+            let place = (offset + self.scale_px * tangent).max(0.0).min(end);
+            ends[i] = to_nearest(if outside { place } else { inside });
+        }
+    }
+}
+
+/// A number from 0 to 2²² rounded to the nearest integer. A cast would saturate, and does not vectorise.
+#[inline(always)]
+pub(crate) fn to_nearest(value: f32) -> u32 {
+    const SHIFT: f32 = 8_388_608.0;
+    // From 2²³ to 2²⁴ a float's steps are integers, and its lower bits count them.
+    (value + SHIFT).to_bits() - SHIFT.to_bits()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    const AXIS: Axis = Axis { focal_px: 200.0, centre_px: 159.5, length_px: 320 };
+    fn window(axis: &Axis, pixel: usize, q: f32) -> (u32, u32) {
+        let mut windows = Windows::new(axis.length_px());
+        axis.windows(&vec![q; axis.length_px()], &mut windows);
+        (windows.first[pixel], windows.last[pixel])
+    }
 
     #[test]
-    fn contains_the_projection_of_every_point_of_the_sphere() {
-        for pixel in [0, 40, 159, 300, 319] {
-            for q in [0.01_f32, 0.1, 0.5, 0.9] {
-                let (first, last) = AXIS.window(pixel, q);
-                let x = (pixel as f32 - AXIS.centre_px) / AXIS.focal_px;
-                for step in 0..3600 {
-                    let angle = step as f32 * 0.1_f32.to_radians();
-                    let (dx, dz) = (q * angle.cos(), q * angle.sin());
-                    let column = (AXIS.centre_px + AXIS.focal_px * (x + dx) / (1.0 + dz)).round();
-                    if (0.0..320.0).contains(&column) {
-                        assert!(
-                            (first..=last).contains(&(column as i32)),
-                            "{pixel} {q}: {column} not in {first}..={last}"
-                        );
+    fn contains_the_projection_of_every_point_of_the_ellipsoid_and_little_else() {
+        for (stretch, margin) in [(1.0, 0), (0.5, 7), (1.6, 40)] {
+            let axis = Axis::new(200.0, 159.5, 320, margin, stretch);
+            for pixel in [0, 40, 159, 300, 319] {
+                for q in [0.01_f32, 0.1, 0.5, 0.9] {
+                    let (first, last) = window(&axis, pixel, q);
+                    let (mut least, mut most) = (f64::INFINITY, f64::NEG_INFINITY);
+                    for step in 0..3600 {
+                        let x = (pixel as f64 - 159.5 + if step % 2 == 0 { 0.5 } else { -0.5 }) / 200.0;
+                        let angle = (f64::from(step) * 0.1).to_radians();
+                        let (dx, dz) = (f64::from(q) * angle.cos() * stretch, f64::from(q) * angle.sin());
+                        let column = 159.5 + margin as f64 + 200.0 * (x + dx) / (1.0 + dz);
+                        (least, most) = (least.min(column), most.max(column));
                     }
+                    let end = axis.expanded_px() as f64 - 1.0;
+                    let [least, most] = [least, most].map(|column| column.round().clamp(0.0, end) as u32);
+                    assert!(first <= least && last >= most, "{pixel} {q}: {first}..{last}, {least}..{most}");
+                    let slack = 2 + (0.03 * f64::from(most - least)) as u32;
+                    assert!(q > 0.5 || least - first <= slack && last - most <= slack, "{pixel} {q}");
                 }
             }
         }
@@ -78,12 +149,13 @@ mod tests {
 
     #[test]
     fn nearer_spheres_cover_what_farther_ones_do() {
-        let mut previous = AXIS.window(100, 0.0);
+        let axis = Axis::new(200.0, 159.5, 320, 20, 1.0);
+        let mut previous = window(&axis, 100, 0.0);
         for q in (1..=1200).map(|i| i as f32 * 0.001) {
-            let next = AXIS.window(100, q);
-            assert!(next.0 <= previous.0 && next.1 >= previous.1);
+            let next = window(&axis, 100, q);
+            assert!(next.0 <= previous.0 && next.1 >= previous.1, "{q}: {previous:?} {next:?}");
             previous = next;
         }
-        assert_eq!(previous, (0, 319));
+        assert_eq!(previous, (0, 359));
     }
 }

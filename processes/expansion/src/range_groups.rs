@@ -1,0 +1,151 @@
+//! As [`crate::range_max`], but keeps what lies behind the nearest surface, too.
+//!
+//! A cell holds three values: the largest, the largest of a later bin than that one's, and the largest at least two bins
+//! later. Such triples can be merged in any order and as often as one likes: the third value of a merger is the first,
+//! second or third of what is merged, as their bins differ by two, one or none. The second value is kept for that alone.
+
+use crate::bins::bin;
+use crate::inflate::Spread;
+
+type Triple = [u16; 3];
+
+/// Values merged at once.
+const BLOCK: usize = 32;
+type Block = [u16; BLOCK];
+
+/// Scratch for rows of one length.
+#[derive(Debug)]
+pub(crate) struct RangeGroups {
+    /// First, second and third values.
+    levels: [Vec<u16>; 3],
+    length: usize,
+}
+
+/// What both hold together.
+#[inline(always)]
+fn merge(a: Triple, b: Triple) -> Triple {
+    let a_wins = a[0] >= b[0];
+    let (first, second, third) = if a_wins { (a[0], a[1], a[2]) } else { (b[0], b[1], b[2]) };
+    let (first2, second2, third2) = if a_wins { (b[0], b[1], b[2]) } else { (a[0], a[1], a[2]) };
+    let (bins, bins2) = (bin(first), bin(first2));
+    let behind = if bins == bins2 { second2 } else { first2 };
+    let last = if bins == bins2 + 1 { second2 } else { first2 };
+    let last = if bins == bins2 { third2 } else { last };
+    [first, second.max(behind), third.max(last)]
+}
+
+impl RangeGroups {
+    /// Merges a single value into a cell.
+    #[inline(always)]
+    fn raise_cell(&mut self, cell: usize, value: u16) {
+        let [first, second, third] = &mut self.levels;
+        let (first, second, third) = (&mut first[cell], &mut second[cell], &mut third[cell]);
+        // Most values change nothing.
+        if value <= *third {
+            return;
+        }
+        [*first, *second, *third] = merge([*first, *second, *third], [value, 0, 0]);
+    }
+}
+
+impl Spread for RangeGroups {
+    const VALUES: usize = 3;
+
+    fn new(length: usize) -> Self {
+        let count = length.max(1).ilog2() as usize + 1;
+        Self { levels: [0; 3].map(|_| vec![0; count * length]), length }
+    }
+
+    #[inline(always)]
+    fn raise(&mut self, first: usize, last: usize, value: u16) {
+        let level = (last + 1 - first).ilog2() as usize;
+        self.raise_cell(level * self.length + first, value);
+        self.raise_cell(level * self.length + last + 1 - (1 << level), value);
+    }
+
+    #[inline(always)]
+    fn finish(&mut self, out: &mut [u16]) {
+        let length = self.length;
+        for level in (1..self.levels[0].len() / length).rev() {
+            let [first, second, third] = &mut self.levels;
+            let (first_below, first) = first[(level - 1) * length..(level + 1) * length].split_at_mut(length);
+            let (second_below, second) = second[(level - 1) * length..(level + 1) * length].split_at_mut(length);
+            let (third_below, third) = third[(level - 1) * length..(level + 1) * length].split_at_mut(length);
+            let half = 1 << (level - 1);
+            merge_into([&mut *first_below, &mut *second_below, &mut *third_below], [first, second, third]);
+            merge_into(
+                [&mut first_below[half..], &mut second_below[half..], &mut third_below[half..]],
+                [first, second, third],
+            );
+            first.fill(0);
+            second.fill(0);
+            third.fill(0);
+        }
+        for (out, level) in out.chunks_exact_mut(length).zip(&mut self.levels) {
+            out.copy_from_slice(&level[..length]);
+            level[..length].fill(0);
+        }
+    }
+}
+
+/// Every cell covers two cells of the level below: its own, and the one half of its length further on.
+#[inline(always)]
+fn merge_into([first, second, third]: [&mut [u16]; 3], [first2, second2, third2]: [&[u16]; 3]) {
+    let length = first.len();
+    let (second, third) = (&mut second[..length], &mut third[..length]);
+    let (first2, second2, third2) = (&first2[..length], &second2[..length], &third2[..length]);
+    // Blocks that are read whole before they are written vectorise: nothing then depends on what is where.
+    let blocks = first.as_chunks_mut::<BLOCK>().0.iter_mut().zip(second.as_chunks_mut().0).zip(third.as_chunks_mut().0);
+    let others = first2.as_chunks::<BLOCK>().0.iter().zip(second2.as_chunks().0).zip(third2.as_chunks().0);
+    for (((first, second), third), ((first2, second2), third2)) in blocks.zip(others) {
+        merge_block([first, second, third], [first2, second2, third2]);
+    }
+    for i in length / BLOCK * BLOCK..length {
+        [first[i], second[i], third[i]] = merge([first[i], second[i], third[i]], [first2[i], second2[i], third2[i]]);
+    }
+}
+
+#[inline(always)]
+fn merge_block([a1, a2, a3]: [&mut Block; 3], [b1, b2, b3]: [&Block; 3]) {
+    let (x1, x2, x3, y1, y2, y3) = (*a1, *a2, *a3, *b1, *b2, *b3);
+    let (mut first, mut second, mut third) = ([0; BLOCK], [0; BLOCK], [0; BLOCK]);
+    for i in 0..BLOCK {
+        [first[i], second[i], third[i]] = merge([x1[i], x2[i], x3[i]], [y1[i], y2[i], y3[i]]);
+    }
+    (*a1, *a2, *a3) = (first, second, third);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{RngExt, SeedableRng};
+
+    #[test]
+    fn keeps_the_nearest_and_what_lies_one_and_two_bins_behind() {
+        let mut random = rand_pcg::Pcg64Mcg::seed_from_u64(2);
+        for length in [1_usize, 2, 3, 17, 320] {
+            let mut rows = RangeGroups::new(length);
+            for _ in 0..5 {
+                let mut covering = vec![Vec::new(); length];
+                for _ in 0..60 {
+                    let first = random.random_range(0..length);
+                    let last = random.random_range(first..length);
+                    let value = random.random_range(1_u16..9) << 10 | random.random_range(0..1024);
+                    rows.raise(first, last, value);
+                    covering[first..=last].iter_mut().for_each(|values| values.push(value));
+                }
+                let mut out = vec![7; 3 * length];
+                rows.finish(&mut out);
+                for (place, values) in covering.iter().enumerate() {
+                    let nearest = values.iter().copied().max().unwrap_or(0);
+                    let behind = |bins: u16| {
+                        let is_behind = |value: &&u16| bin(**value) + bins <= bin(nearest);
+                        values.iter().filter(is_behind).copied().max().unwrap_or(0)
+                    };
+                    let found = [0, 1, 2].map(|value| out[value * length + place]);
+                    assert_eq!(found, [nearest, behind(1), behind(2)], "{values:?}");
+                }
+            }
+        }
+    }
+}
