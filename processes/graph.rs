@@ -3,7 +3,7 @@
 use crate::config::{FlightConfig, VehicleConfig};
 use controller::ControllerProcess;
 use expansion::{ExpansionProcess, Reach};
-use memory::MemoryProcess;
+use memory::{MapModel, MemoryProcess};
 use planner::PlannerProcess;
 use recorder::RecorderProcess;
 use runtime::lockstep::Lockstep;
@@ -38,7 +38,20 @@ pub fn expansion(config: &FlightConfig) -> ExpansionProcess {
 /// The memory process of a configuration.
 pub fn memory(config: &FlightConfig) -> MemoryProcess {
     let memory = memory::Config { free_space: config.free_space(), ..config.vehicle.memory };
-    MemoryProcess::new(config.vehicle.rig, config.vehicle.mount, memory)
+    let (vehicle, expansion) = (&config.vehicle, &config.vehicle.expansion);
+    MemoryProcess::new(expansion.layout(&vehicle.rig), expansion.radius_m, vehicle.mount, memory)
+}
+
+/// What a vehicle's map is made with.
+pub fn map_model(vehicle: &VehicleConfig) -> MapModel {
+    MapModel {
+        rig: vehicle.rig,
+        noise: vehicle.noise,
+        layout: vehicle.expansion.layout(&vehicle.rig),
+        radius_m: vehicle.expansion.radius_m,
+        inference: vehicle.memory.inference,
+        forget_s: vehicle.memory.forget_s,
+    }
 }
 
 /// The planner process of a configuration.
@@ -46,7 +59,7 @@ pub fn planner(config: &FlightConfig) -> PlannerProcess {
     let (vehicle, mission) = (&config.vehicle, &config.mission);
     let rule = config.free_space();
     let planner =
-        PlannerProcess::new(vehicle.rig, vehicle.noise, rule, vehicle.planner.clone(), mission.fence, mission.start());
+        PlannerProcess::new(map_model(vehicle), rule, vehicle.planner.clone(), mission.fence, mission.start());
     if config.avoidance { planner } else { planner.without_avoidance() }
 }
 

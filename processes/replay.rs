@@ -2,6 +2,7 @@
 
 use crate::config::FlightConfig;
 use crate::fly::command;
+use crate::graph::map_model;
 use crate::graph_config::Member;
 use crate::replay_input::{Input, InputArguments};
 use crate::replay_report::{FrameFigures, print, summarise, write_images};
@@ -12,7 +13,7 @@ use ipc_types::disparity::is_valid;
 use ipc_types::messages::{Health, Keyframe};
 use ipc_types::topics::{DepthFrames, Disparity, Expanded, HealthReports, Keyframes, StereoFrames, Topic};
 use ipc_types::wire::{Header, Stamp};
-use ipc_types::{Point, ProcessId};
+use ipc_types::{FlightTime, Point, ProcessId};
 use memory::{FreeSpace, View};
 use runtime::ipc::{IpcPorts, Services};
 use runtime::run_dir::RunDir;
@@ -343,10 +344,10 @@ impl Products {
     fn view(&self, config: &FlightConfig, ports: &mut IpcPorts) -> View {
         let vehicle = &config.vehicle;
         let nowhere = FreeSpace::new(vehicle.memory.free_space, Point::new(0.0, 0.0, -1e6));
-        let mut view = View::new(vehicle.rig, vehicle.noise, nowhere);
+        let mut view = View::new(map_model(vehicle), nowhere);
         for keyframe in self.keyframes.iter().flat_map(|(_, keyframes)| keyframes) {
             if let (Some(pose), Some(image)) = (keyframe.world_from_camera(), ports.images().get(keyframe.image_id)) {
-                view.push(pose, image);
+                view.push(pose, FlightTime::from_nanos(keyframe.exposure_ns), image);
             }
         }
         view

@@ -3,7 +3,7 @@
 use crate::config::FlightConfig;
 use crate::replay::{ProcessNumber, Products};
 use ipc_types::disparity::{NO_MATCH, encode, is_valid};
-use ipc_types::messages::{ExpandedPlanes, UNKNOWN_FRONT};
+use ipc_types::messages::{ExpandedCells, ExpandedLayout, UNKNOWN_FRONT};
 use ipc_types::{Body, Point, Pose, World};
 use memory::{Occupancy, View};
 use serde::Serialize;
@@ -155,12 +155,16 @@ pub(crate) fn summarise(
     let rig = config.vehicle.rig;
     let empty = (0, Vec::new());
     let (disparity_ns, disparity) = products.disparity.as_ref().unwrap_or(&empty);
-    let (expanded_ns, planes) = products.expanded.as_ref().unwrap_or(&empty);
+    let (expanded_ns, elements) = products.expanded.as_ref().unwrap_or(&empty);
     let (keyframes_ns, keyframes) = products.keyframes.as_ref().map_or((0, 0), |(ns, list)| (*ns, list.len()));
     let percent = |part: usize, whole: usize| 100.0 * part as f64 / whole.max(1) as f64;
     let count = |code: fn(&u16) -> bool| disparity.iter().filter(|pixel| code(pixel)).count();
-    let unknown = ExpandedPlanes::split(planes, rig.pixels())
-        .map_or(0, |planes| planes.front.iter().filter(|&&front| front == UNKNOWN_FRONT).count());
+    let layout = config.vehicle.expansion.layout(&rig);
+    let camera_cells = || (0..rig.height_px).flat_map(|row| (0..rig.width_px).map(move |column| (column, row)));
+    let unknown = ExpandedCells::split(elements, layout).map_or(0, |cells| {
+        let is_unknown = |(column, row)| cells.nearest[layout.cell_of(column, row)][1] == UNKNOWN_FRONT;
+        camera_cells().filter(|&at| is_unknown(at)).count()
+    });
     let counts = occupancy_in_view(config, view);
     let points = counts.iter().sum();
     let ms = |from: i64, to: i64| (to - from) as f64 * 1e-6;
@@ -211,6 +215,30 @@ fn first_occupied(config: &FlightConfig, view: &View) -> Vec<u16> {
     (0..rig.pixels()).map(first).collect()
 }
 
+/// Writes every layer as a file of disparities, margins included. Unknown cells hold the largest value, which in a file
+/// would read as nearest: they are written as unmatched.
+pub(crate) fn save_layers(
+    prefix: &Path,
+    kind: &str,
+    layout: ExpandedLayout,
+    cells: &ExpandedCells<'_>,
+) -> Result<Vec<PathBuf>, Box<dyn Error>> {
+    let known = |value: u16| if value == UNKNOWN_FRONT { NO_MATCH } else { value };
+    let nearest = |part: usize| cells.nearest.iter().map(|cell| known(cell[part])).collect::<Vec<u16>>();
+    let next = |part: usize| cells.next.iter().map(|cell| known(cell[part])).collect::<Vec<u16>>();
+    let mut layers = vec![("front", nearest(1)), ("back", nearest(2))];
+    if !cells.next.is_empty() {
+        layers.extend([("front2", next(0)), ("back2", next(1))]);
+    }
+    let mut files = Vec::new();
+    for (name, layer) in layers {
+        let path = PathBuf::from(format!("{}-{name}.{kind}", prefix.display()));
+        save_disparity(&path, layout.width_px, layout.height_px, &layer)?;
+        files.push(path);
+    }
+    Ok(files)
+}
+
 pub(crate) fn write_images(
     prefix: &Path,
     kind: &str,
@@ -224,14 +252,9 @@ pub(crate) fn write_images(
         save_disparity(&file("disparity"), rig.width_px, rig.height_px, disparity)?;
     }
     if let Some((_, elements)) = &products.expanded
-        && let Some(planes) = ExpandedPlanes::split(elements, rig.pixels())
+        && let Some(cells) = ExpandedCells::split(elements, config.vehicle.expansion.layout(&rig))
     {
-        // Unknown pixels hold the largest value, which in a file would read as nearest.
-        let known = |plane: &[u16]| -> Vec<u16> {
-            plane.iter().map(|&value| if value == UNKNOWN_FRONT { 0 } else { value }).collect()
-        };
-        save_disparity(&file("front"), rig.width_px, rig.height_px, &known(planes.front))?;
-        save_disparity(&file("back"), rig.width_px, rig.height_px, &known(planes.back))?;
+        save_layers(prefix, kind, config.vehicle.expansion.layout(&rig), &cells)?;
     }
     save_disparity(&file("occupied"), rig.width_px, rig.height_px, &first_occupied(config, view))?;
     Ok(())

@@ -23,14 +23,18 @@ fn planning_allocates_nothing() {
     let config = FlightConfig::load(None, None).expect("loads");
     let vehicle = &config.vehicle;
     let rig = vehicle.rig;
-    let mut view = View::new(rig, vehicle.noise, FreeSpace::new(vehicle.memory.free_space, Point::ZERO));
+    let mut view =
+        View::new(sparrowhawk::graph::map_model(vehicle), FreeSpace::new(vehicle.memory.free_space, Point::ZERO));
     // A wall far ahead, seen from the way to where the vehicle is.
     let value = |depth_m: f64| encode(rig.disparity_px(depth_m) as f32);
-    let planes: Vec<u16> = [value(25.0), value(30.0), value(0.5)].iter().flat_map(|&v| vec![v; rig.pixels()]).collect();
+    let layout = vehicle.expansion.layout(&rig);
+    let cells = [value(0.5), value(25.0), value(30.0), 0].repeat(layout.cells());
+    assert_eq!(cells.len(), layout.elements(), "two layers");
     for metre in 0..vehicle.memory.graph.keyframes {
         let body =
             Pose { translation: Vector::new(f64::from(metre as u32), 0.0, 2.0), ..Pose::<World, Body>::IDENTITY };
-        assert!(view.push(body * vehicle.mount.body_from_camera(), planes.clone().into()));
+        let exposure = FlightTime::from_nanos(80_000_000 * i64::from(metre as u32));
+        assert!(view.push(body * vehicle.mount.body_from_camera(), exposure, cells.clone().into()));
     }
     let mut planner = Planner::new(vehicle.planner.clone(), config.mission.fence, Point::ZERO);
     let mut step = |tick: i64| {
@@ -64,10 +68,10 @@ fn matching_and_expanding_allocate_nothing() {
         (0..pixels).map(|index| texture((index + 12).min(index / width * width + width - 1))).collect();
     let mut matcher = Matcher::new(&rig, vehicle.stereo);
     let mut expander = Expander::new(rig, &vehicle.noise, sparrowhawk::graph::reach(&vehicle), vehicle.expansion);
-    let (mut disparity, mut planes) = (vec![0; pixels], vec![0; 3 * pixels]);
+    let (mut disparity, mut elements) = (vec![0; pixels], vec![0; expander.layout().elements()]);
     let mut step = || {
         matcher.step(&left, &right, &mut disparity).expect("sizes agree");
-        expander.step(&disparity, &mut planes).expect("sizes agree");
+        expander.step(&disparity, &mut elements).expect("sizes agree");
     };
     step();
     let region = Region::new(ALLOCATOR);

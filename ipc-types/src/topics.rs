@@ -147,7 +147,7 @@ topics! {
     Disparity: "disparity_image", DisparityImage, [u16; |rig| rig.pixels()], 12.5 Hz, history 1, depth 1, image true,
         from [StereoIngest], to [wakes(Expansion), reads(Recorder), reads(Supervisor)];
     /// Configuration-space images.
-    Expanded: "expanded_image", ExpandedImage, [u16; |rig| 3 * rig.pixels()], 12.5 Hz, history 1, depth 1, image true,
+    Expanded: "expanded_image", ExpandedImage, [u16; |rig| ExpandedLayout::largest(rig).elements()], 12.5 Hz, history 1, depth 1, image true,
         from [Expansion], to [wakes(Memory), reads(Recorder), reads(Supervisor)];
     /// The disparity graph.
     Keyframes: "keyframe_set", KeyframeSet, [Keyframe; |_| 64], 12.5 Hz, history 1, depth 1, image false,

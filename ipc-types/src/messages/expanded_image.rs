@@ -69,6 +69,14 @@ pub struct ExpandedLayout {
 }
 
 impl ExpandedLayout {
+    /// Widest margin, px.
+    pub const MOST_MARGIN_PX: u32 = 128;
+
+    /// The largest of a rig's images.
+    pub const fn largest(rig: &StereoRig) -> Self {
+        Self::new(rig, Self::MOST_MARGIN_PX, Layers::Four)
+    }
+
     /// Of a rig's images with a margin.
     pub const fn new(rig: &StereoRig, margin_px: u32, layers: Layers) -> Self {
         let (width_px, height_px) = (rig.width_px + 2 * margin_px, rig.height_px + 2 * margin_px);
@@ -96,7 +104,7 @@ impl ExpandedLayout {
 
 impl ExpandedImage {
     /// Size and layers that the header states, or `None` if there is no such image.
-    pub fn layout(&self) -> Option<ExpandedLayout> {
+    pub fn expanded_layout(&self) -> Option<ExpandedLayout> {
         let layers = [Layers::Two, Layers::Four].into_iter().find(|layers| layers.count() == self.layers)?;
         let (width_px, height_px, margin_px) = (self.width_px, self.height_px, self.margin_px);
         Some(ExpandedLayout { width_px, height_px, margin_px, layers })
@@ -151,7 +159,8 @@ impl<'a> ExpandedCells<'a> {
     /// | otherwise | occluded |
     #[inline]
     pub fn at(&self, index: usize, d: f32) -> Seen {
-        let [near, front, back, gap] = self.nearest[index].map(f32::from);
+        let [near, front, back, gap] = self.nearest[index];
+        let (near, front, back, gap) = (f32::from(near), f32::from(front), f32::from(back), f32::from(gap));
         let never = f32::from(NEVER_OCCUPIED);
         let free = |back: f32| if back == never { Seen::FarBackground } else { Seen::Free };
         if front == f32::from(UNKNOWN_FRONT) || d > front && d > near {
@@ -163,7 +172,8 @@ impl<'a> ExpandedCells<'a> {
         } else if d > gap || self.next.is_empty() {
             Seen::Occluded
         } else {
-            let [front, back] = self.next[index].map(f32::from);
+            let [front, back] = self.next[index];
+            let (front, back) = (f32::from(front), f32::from(back));
             if d > front {
                 free(back)
             } else if d > back && back != never {

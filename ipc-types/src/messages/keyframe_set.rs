@@ -4,13 +4,21 @@ use crate::frames::{Camera, Pose, Rotation, Vector, World};
 use crate::wire::{Stamp, stamped, wire};
 
 wire! {
-    /// The nodes of the disparity graph. Elements: one [`Keyframe`] each, newest first; the newest frame is always
-    /// among them. Valid at the newest exposure. The pixels lie in the run's image store under `image_id`.
-    KeyframeSet = "sparrowhawk/KeyframeSet/1" {
+    /// The nodes of the disparity graph. Elements: one [`Keyframe`] each, the newest frame first, then the keyframes from
+    /// the newest to the oldest, then what else is recent. Valid at the newest exposure. The pixels lie in the run's image store under `image_id`.
+    KeyframeSet = "sparrowhawk/KeyframeSet/2" {
         /// Origin.
         stamp: Stamp,
         /// Expanded images dropped because no pose was known for their exposure.
         without_pose: u64,
+        /// Those dropped because they were not newer than the one before.
+        late: u64,
+        /// Those dropped because they are of another rig, margin, radius or number of layers.
+        misfits: u64,
+        /// Images and records that could not be stored.
+        not_stored: u64,
+        /// Times that the estimate of the pose jumped, and the map began anew.
+        jumps: u64,
     }
 }
 stamped!(KeyframeSet);

@@ -93,7 +93,7 @@ impl Config {
     pub fn check(&self, bounds: &mut Bounds) {
         bounds.range("radius_m", self.radius_m, 0.05..=5.0);
         bounds.range("half_height_m", self.half_height_m, 0.05..=5.0);
-        bounds.range("margin_px", self.margin_px, 0..=512);
+        bounds.range("margin_px", self.margin_px, 0..=ExpandedLayout::MOST_MARGIN_PX);
         bounds.require(
             self.margin_px.is_multiple_of(2),
             "margin_px",

@@ -28,18 +28,57 @@ impl FreeSpaceRule {
     }
 }
 
+/// Places of the path flown that share a box.
+const PLACES: usize = 16;
+
 /// The evidence gathered so far.
 #[derive(Clone, Debug)]
 pub struct FreeSpace {
     rule: FreeSpaceRule,
     home: Point<World>,
     path: Vec<Point<World>>,
+    /// Of every [`PLACES`] places, the swept radius included.
+    boxes: Vec<Extent>,
+    /// Of all places and the home cylinder.
+    whole: Extent,
+}
+
+/// Least and largest coordinates, m.
+#[derive(Clone, Copy, Debug)]
+struct Extent {
+    least: [f64; 3],
+    most: [f64; 3],
+}
+
+impl Extent {
+    fn around(place: Point<World>, reach_m: [f64; 3]) -> Self {
+        let at = place.to_array();
+        Self { least: [0, 1, 2].map(|i| at[i] - reach_m[i]), most: [0, 1, 2].map(|i| at[i] + reach_m[i]) }
+    }
+
+    fn and(self, other: Self) -> Self {
+        Self {
+            least: [0, 1, 2].map(|i| self.least[i].min(other.least[i])),
+            most: [0, 1, 2].map(|i| self.most[i].max(other.most[i])),
+        }
+    }
+
+    #[inline(always)]
+    fn contains(&self, point: Point<World>) -> bool {
+        (point.x >= self.least[0])
+            & (point.x <= self.most[0])
+            & (point.y >= self.least[1])
+            & (point.y <= self.most[1])
+            & (point.z >= self.least[2])
+            & (point.z <= self.most[2])
+    }
 }
 
 impl FreeSpace {
     /// Around a take-off place.
     pub fn new(rule: FreeSpaceRule, home: Point<World>) -> Self {
-        Self { rule, home, path: Vec::new() }
+        let whole = Extent::around(home, [rule.home_radius_m, rule.home_radius_m, rule.home_height_m.max(0.5)]);
+        Self { rule, home, path: Vec::new(), boxes: Vec::new(), whole }
     }
 
     /// The rule.
@@ -56,6 +95,14 @@ impl FreeSpace {
     pub fn set_path(&mut self, path: impl IntoIterator<Item = Point<World>>) {
         self.path.clear();
         self.path.extend(path);
+        let reach_m = [self.rule.swept_radius_m; 3];
+        self.boxes.clear();
+        self.boxes.extend(self.path.chunks(PLACES).map(|places| {
+            let first = Extent::around(places[0], reach_m);
+            places.iter().fold(first, |all, &place| all.and(Extent::around(place, reach_m)))
+        }));
+        let home = Self::new(self.rule, self.home).whole;
+        self.whole = self.boxes.iter().fold(home, |all, &part| all.and(part));
     }
 
     /// The path flown, oldest first.
@@ -63,15 +110,31 @@ impl FreeSpace {
         &self.path
     }
 
+    /// Whether a point is free without any image.
+    #[inline(always)]
+    pub(crate) fn is_declared(&self, point: Point<World>) -> bool {
+        self.whole.contains(point) && (self.is_home(point) || self.is_swept(point))
+    }
+
+    /// Whether all points between two are free without any image: in one ball or in the cylinder, which are convex.
+    pub(crate) fn is_declared_between(&self, a: Point<World>, b: Point<World>) -> bool {
+        let reach_m = self.rule.swept_radius_m;
+        let holds_both = |place: &Point<World>| place.distance(a) <= reach_m && place.distance(b) <= reach_m;
+        self.is_home(a) && self.is_home(b)
+            || self.is_declared(a) && self.is_declared(b) && self.path.iter().any(holds_both)
+    }
+
     /// Whether the vehicle's centre has been near this point.
-    pub(crate) fn is_swept(&self, point: Point<World>) -> bool {
-        self.path.iter().any(|&place| place.distance(point) <= self.rule.swept_radius_m)
+    fn is_swept(&self, point: Point<World>) -> bool {
+        let near = self.boxes.iter().zip(self.path.chunks(PLACES)).filter(|(extent, _)| extent.contains(point));
+        near.flat_map(|(_, places)| places).any(|place| place.distance(point) <= self.rule.swept_radius_m)
     }
 
     /// Whether the operator declared this point free.
-    pub(crate) fn is_home(&self, point: Point<World>) -> bool {
+    fn is_home(&self, point: Point<World>) -> bool {
         let offset = point - self.home;
         let height = -0.5..=self.rule.home_height_m;
-        offset.horizontal_norm() <= self.rule.home_radius_m && height.contains(&offset.z)
+        let out_m2 = offset.x * offset.x + offset.y * offset.y;
+        out_m2 <= self.rule.home_radius_m * self.rule.home_radius_m && height.contains(&offset.z)
     }
 }

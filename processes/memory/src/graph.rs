@@ -1,10 +1,14 @@
 //! The pose graph of expanded images (DROAN, Algorithm 2).
 //!
 //! The newest frame is always a node. It becomes a keyframe when the vehicle has moved `spacing_m` or turned
-//! `spacing_deg` since the last one; beyond `keyframes`, the oldest is forgotten. One rule is added: a keyframe whose
-//! anchor (the pose that made it one) lies within half of both spacings takes the newer frame in place of its own.
-//! So a vehicle that hovers before something that is not there loses the stale view within one frame, instead of
-//! hovering for ever.
+//! `spacing_deg` since the last one; beyond `keyframes`, the oldest is forgotten. Two rules are added:
+//!
+//! * A keyframe whose anchor (the pose that made it one) lies within half of both spacings takes the newer frame in place
+//!   of its own, so that it is improved until the next one is taken, and when the vehicle comes back.
+//! * A few **recent** frames are nodes as well, evenly spaced in time: what moved is forgotten when it has been seen free
+//!   again for long enough ([`crate::View`]), also by a vehicle that hovers and takes no keyframes.
+//!
+//! A correction of poses moves nodes; pixels stay as they are.
 
 use ipc_types::bounds::Bounds;
 use ipc_types::{Camera, FlightTime, Pose, World};
@@ -14,7 +18,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct GraphRule {
-    /// Nodes kept, the newest frame included (N_graph).
+    /// Keyframes kept, the newest frame included (N_graph). Recent frames come on top.
     pub keyframes: usize,
     /// Displacement between keyframes (γ_d), m.
     pub spacing_m: f64,
@@ -25,9 +29,11 @@ pub struct GraphRule {
 impl GraphRule {
     /// Most nodes that a message carries.
     pub const MOST: usize = 64;
+    /// Recent frames kept: as many views as must agree before something is forgotten.
+    pub const RECENT: usize = 3;
 
     pub(crate) fn check(&self, bounds: &mut Bounds) {
-        bounds.range("keyframes", self.keyframes, 2..=Self::MOST);
+        bounds.range("keyframes", self.keyframes, 2..=Self::MOST - Self::RECENT);
         bounds.range("spacing_m", self.spacing_m, 0.05..=20.0);
         bounds.range("spacing_deg", self.spacing_deg, 1.0..=180.0);
     }
@@ -54,39 +60,102 @@ impl Node {
 
 /// A place of the graph: the frame that made it, and the newest frame taken there.
 #[derive(Clone, Copy, Debug)]
-struct Place {
-    anchor: Node,
-    frame: Node,
+pub struct Place {
+    /// Where it was made.
+    pub anchor: Node,
+    /// What is seen from there.
+    pub frame: Node,
 }
 
-/// The nodes, newest first.
+/// The nodes.
 #[derive(Clone, Debug)]
 pub struct DisparityGraph {
     rule: GraphRule,
+    /// Between recent frames, s.
+    recent_s: f64,
     newest: Option<Node>,
+    /// From the newest to the oldest.
     keyframes: Vec<Place>,
+    recent: Vec<Node>,
 }
 
 impl DisparityGraph {
-    /// An empty graph.
-    pub fn new(rule: GraphRule) -> Self {
-        Self { rule, newest: None, keyframes: Vec::with_capacity(rule.keyframes) }
+    /// An empty graph. What moved is forgotten after `forget_s`.
+    pub fn new(rule: GraphRule, forget_s: f64) -> Self {
+        let (keyframes, recent) = (Vec::with_capacity(rule.keyframes + 1), Vec::with_capacity(GraphRule::RECENT + 1));
+        // Two of the gaps between them, and the newest frame, span what is asked for.
+        Self { rule, recent_s: forget_s / 2.0, newest: None, keyframes, recent }
     }
 
-    /// The newest frame, then the keyframes from the newest to the oldest.
+    /// A graph of what another one held, as far as `is_there` says that the image still is.
+    pub fn restored(
+        rule: GraphRule,
+        forget_s: f64,
+        (newest, keyframes, recent): (Option<Node>, &[Place], &[Node]),
+        is_there: impl Fn(&Node) -> bool,
+    ) -> Self {
+        let mut graph = Self::new(rule, forget_s);
+        graph.keyframes.extend(keyframes.iter().filter(|place| is_there(&place.frame)));
+        graph.keyframes.truncate(rule.keyframes - 1);
+        graph.recent.extend(recent.iter().filter(|node| is_there(node)));
+        graph.recent.truncate(GraphRule::RECENT);
+        graph.newest = newest.filter(is_there).or_else(|| graph.nodes().max_by_key(|node| node.exposure).copied());
+        graph
+    }
+
+    /// What [`DisparityGraph::restored`] takes.
+    pub fn parts(&self) -> (Option<Node>, &[Place], &[Node]) {
+        (self.newest, &self.keyframes, &self.recent)
+    }
+
+    /// The newest frame.
+    pub fn newest(&self) -> Option<&Node> {
+        self.newest.as_ref()
+    }
+
+    /// The newest frame, then the keyframes from the newest to the oldest, then what else is recent; every image once.
     pub fn nodes(&self) -> impl Iterator<Item = &Node> {
-        let others = |place: &&Place| self.newest.is_none_or(|newest| newest.image_id != place.frame.image_id);
-        self.newest.iter().chain(self.keyframes.iter().filter(others).map(|place| &place.frame))
+        let newest = self.newest.as_ref().map(|node| node.image_id);
+        let is_keyframe = |node: &Node| self.keyframes.iter().any(|place| place.frame.image_id == node.image_id);
+        let keyframes = self.keyframes.iter().map(|place| &place.frame);
+        let recent = self.recent.iter().filter(move |node| !is_keyframe(node));
+        self.newest.iter().chain(keyframes.chain(recent).filter(move |node| Some(node.image_id) != newest))
     }
 
-    /// Adds a frame; calls `forget` with the id of every image that is no longer a node.
-    /// Frames older than the newest are refused, and forgotten at once.
-    pub fn insert(&mut self, frame: Node, mut forget: impl FnMut(u64)) {
+    /// Moves nodes to corrected poses: those for which `pose_at` knows one. Returns how many moved.
+    pub fn correct(&mut self, pose_at: impl Fn(FlightTime) -> Option<Pose<World, Camera>>) -> usize {
+        let mut moved = 0;
+        let mut correct = |node: &mut Node| {
+            let of = |pose: Pose<World, Camera>| (pose.origin().to_array(), pose.rotation.to_wxyz());
+            if let Some(pose) = pose_at(node.exposure).filter(|&pose| of(pose) != of(node.world_from_camera)) {
+                node.world_from_camera = pose;
+                moved += 1;
+            }
+        };
+        self.newest.iter_mut().chain(&mut self.recent).for_each(&mut correct);
+        for place in &mut self.keyframes {
+            correct(&mut place.anchor);
+            correct(&mut place.frame);
+        }
+        moved
+    }
+
+    /// Forgets all nodes; calls `forget` with the id of every image.
+    pub fn clear(&mut self, forget: impl FnMut(u64)) {
+        self.nodes().map(|node| node.image_id).for_each(forget);
+        self.newest = None;
+        self.keyframes.clear();
+        self.recent.clear();
+    }
+
+    /// Adds a frame; calls `forget` with the id of every image that is no longer a node. Frames that are not newer than
+    /// the newest are refused, and forgotten at once. Returns whether it was taken.
+    pub fn insert(&mut self, frame: Node, mut forget: impl FnMut(u64)) -> bool {
         if self.newest.is_some_and(|newest| frame.exposure <= newest.exposure) {
             if self.nodes().all(|node| node.image_id != frame.image_id) {
                 forget(frame.image_id);
             }
-            return;
+            return false;
         }
         let before: Vec<u64> = self.nodes().map(|node| node.image_id).collect();
         let (half_m, half_deg) = (self.rule.spacing_m / 2.0, self.rule.spacing_deg / 2.0);
@@ -107,12 +176,18 @@ impl DisparityGraph {
             }
             None => {}
         }
+        let is_due = |last: &Node| frame.exposure.seconds_since(last.exposure) >= self.recent_s;
+        if self.recent.first().is_none_or(is_due) {
+            self.recent.insert(0, frame);
+            self.recent.truncate(GraphRule::RECENT);
+        }
         self.newest = Some(frame);
         for id in before {
             if self.nodes().all(|node| node.image_id != id) {
                 forget(id);
             }
         }
+        true
     }
 }
 
@@ -135,11 +210,11 @@ mod tests {
     }
 
     fn fly(frames: impl IntoIterator<Item = Node>) -> (Vec<u64>, Vec<u64>) {
-        let mut graph = DisparityGraph::new(RULE);
+        let mut graph = DisparityGraph::new(RULE, 1.0);
         let mut forgotten = Vec::new();
         for frame in frames {
             graph.insert(frame, |id| forgotten.push(id));
-            assert!(graph.nodes().count() <= RULE.keyframes);
+            assert!(graph.nodes().count() <= RULE.keyframes + GraphRule::RECENT);
             assert_eq!(graph.nodes().next().expect("a node").image_id, frame.image_id, "the newest is a node");
         }
         (graph.nodes().map(|node| node.image_id).collect(), forgotten)
@@ -171,7 +246,7 @@ mod tests {
     #[test]
     fn late_and_duplicate_frames_are_refused() {
         let (nodes, forgotten) = {
-            let mut graph = DisparityGraph::new(RULE);
+            let mut graph = DisparityGraph::new(RULE, 1.0);
             let mut forgotten = Vec::new();
             for frame in [frame(5, 0.0, 0.0), frame(5, 0.0, 0.0), frame(4, 9.0, 0.0)] {
                 graph.insert(frame, |id| forgotten.push(id));
@@ -179,5 +254,41 @@ mod tests {
             (graph.nodes().map(|node| node.image_id).collect::<Vec<_>>(), forgotten)
         };
         assert_eq!((nodes, forgotten), (vec![5], vec![4]));
+    }
+
+    #[test]
+    fn a_correction_moves_nodes_and_nothing_else() {
+        let mut graph = DisparityGraph::new(RULE, 1.0);
+        (0..20).for_each(|i| assert!(graph.insert(frame(i, i as f64 * 0.3, 0.0), |_| {})));
+        let before: Vec<Node> = graph.nodes().copied().collect();
+        // All that was taken from the tenth frame on lies a metre to the side.
+        let corrected = |at: FlightTime| (at.as_nanos() >= 10).then(|| frame(0, 0.0, 5.0).world_from_camera);
+        assert!(graph.correct(corrected) > 0);
+        for (now, before) in graph.nodes().zip(&before) {
+            assert_eq!(now.image_id, before.image_id);
+            let moved = now.world_from_camera.origin().distance(before.world_from_camera.origin()) > 0.0;
+            assert_eq!(moved, before.exposure.as_nanos() >= 10, "{}", before.image_id);
+        }
+        assert_eq!(graph.correct(corrected), 0, "they lie there already");
+    }
+
+    #[test]
+    fn a_hovering_vehicle_keeps_recent_frames_that_span_the_time_to_forget() {
+        let mut graph = DisparityGraph::new(RULE, 1.0);
+        let mut images = std::collections::HashSet::new();
+        for tick in 0..100_i64 {
+            let node = Node { exposure: FlightTime::from_nanos(tick * 80_000_000), ..frame(tick as u64, 0.0, 0.0) };
+            images.insert(node.image_id);
+            graph.insert(node, |id| assert!(images.remove(&id), "{id} was forgotten twice"));
+            let mut held: Vec<u64> = graph.nodes().map(|node| node.image_id).collect();
+            held.sort_unstable();
+            held.dedup();
+            assert_eq!(held.len(), images.len(), "every image is a node, or forgotten");
+            let oldest = graph.nodes().map(|node| node.exposure).min().expect("a node");
+            assert!(tick < 20 || node.exposure.seconds_since(oldest) >= 1.0);
+        }
+        assert!(graph.nodes().count() <= 1 + GraphRule::RECENT + 1);
+        graph.clear(|id| assert!(images.remove(&id)));
+        assert!(images.is_empty() && graph.nodes().next().is_none());
     }
 }

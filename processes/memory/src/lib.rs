@@ -8,15 +8,25 @@
 //!
 //! Unknown is never free. The order of keyframes does not change any answer.
 
+mod along;
+mod batch;
 mod evidence;
 mod graph;
+mod inference;
+mod lanes;
 mod process;
+mod record;
 mod view;
+mod votes;
+
+pub use along::{Demand, FINEST_M, Hit, TimedHit};
+pub use batch::{LengthsDiffer, Points};
 
 pub use evidence::{FreeSpace, FreeSpaceRule};
-pub use graph::{DisparityGraph, GraphRule, Node};
+pub use graph::{DisparityGraph, GraphRule, Node, Place};
+pub use inference::{Inference, probability_mass};
 pub use process::MemoryProcess;
-pub use view::{Occupancy, Score, Unknown, View};
+pub use view::{MapModel, Occupancy, Score, Unknown, View};
 
 use ipc_types::bounds::Bounds;
 use serde::{Deserialize, Serialize};
@@ -29,6 +39,10 @@ pub struct Config {
     pub graph: GraphRule,
     /// Free space beside measured surfaces.
     pub free_space: FreeSpaceRule,
+    /// How votes are weighed.
+    pub inference: Inference,
+    /// How long something must be seen free again to be forgotten, s.
+    pub forget_s: f64,
 }
 
 impl Config {
@@ -36,5 +50,7 @@ impl Config {
     pub fn check(&self, bounds: &mut Bounds) {
         bounds.section("graph", |bounds| self.graph.check(bounds));
         bounds.section("free_space", |bounds| self.free_space.check(bounds));
+        bounds.section("inference", |bounds| self.inference.check(bounds));
+        bounds.range("forget_s", self.forget_s, 0.1..=3600.0);
     }
 }

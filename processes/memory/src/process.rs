@@ -1,16 +1,22 @@
 //! The memory process: expanded images and states in, keyframe set and flown path out.
+//!
+//! Images lie in the store that outlives it, and so does a record of the graph: a successor goes on with all keyframes but,
+//! at most, the one that was being taken.
 
-use crate::graph::{DisparityGraph, Node};
+use crate::graph::{DisparityGraph, GraphRule, Node};
+use crate::record::{self, RECORD_ID, describe};
 use crate::{Config, FreeSpaceRule};
-use ipc_types::messages::{Keyframe, PathPoint};
+use ipc_types::messages::{ExpandedLayout, Keyframe, PathPoint};
 use ipc_types::pose_history::{PoseAt, PoseHistory};
 use ipc_types::rig::CameraMount;
 use ipc_types::topics::{Expanded, Keyframes, Path, State};
-use ipc_types::{FlightTime, Point, ProcessId, StereoRig, World};
+use ipc_types::{FlightTime, Point, ProcessId, World};
 use runtime::{Connect, Message, Ports, Process, Report};
 
-/// States remembered: four seconds of them at 100 Hz.
-const STATES: usize = 400;
+/// States remembered: a minute of them at 100 Hz, so that later corrections find the keyframes they concern.
+const STATES: usize = 6000;
+/// Between two states the vehicle moves no more than this, m and m/s: else the estimate has jumped.
+const JUMP: (f64, f64) = (2.0, 60.0);
 /// Spacing of the flown path, m.
 const PATH_SPACING_M: f64 = 0.25;
 /// Places of the flown path kept.
@@ -20,44 +26,93 @@ const PATH_LENGTH: usize = 400;
 #[derive(Debug)]
 pub struct MemoryProcess {
     graph: DisparityGraph,
+    graph_rule: GraphRule,
+    forget_s: f64,
     states: PoseHistory,
+    /// The newest state: when, and where the vehicle was.
+    state: Option<(FlightTime, Point<World>)>,
     mount: CameraMount,
-    pixels: usize,
+    layout: ExpandedLayout,
+    radius_m: f32,
     /// The newest image, whose exposure is still later than the newest state.
     pending: Option<(u64, FlightTime)>,
     path: Vec<Point<World>>,
     rule: FreeSpaceRule,
     started: bool,
-    without_pose: u64,
+    lost: Lost,
+    record: Vec<u16>,
     report: Report,
 }
 
+/// What could not be used, by reason.
+#[derive(Clone, Copy, Debug, Default)]
+struct Lost {
+    without_pose: u64,
+    late: u64,
+    misfits: u64,
+    not_stored: u64,
+    jumps: u64,
+}
+
 impl MemoryProcess {
-    /// For a rig mounted on a vehicle.
-    pub fn new(rig: StereoRig, mount: CameraMount, config: Config) -> Self {
+    /// For a rig mounted on a vehicle, whose images are expanded so.
+    pub fn new(layout: ExpandedLayout, radius_m: f32, mount: CameraMount, config: Config) -> Self {
         Self {
-            graph: DisparityGraph::new(config.graph),
+            graph: DisparityGraph::new(config.graph, config.forget_s),
+            graph_rule: config.graph,
+            forget_s: config.forget_s,
             states: PoseHistory::new(STATES),
+            state: None,
             mount,
-            pixels: rig.pixels(),
+            layout,
+            radius_m,
             pending: None,
             path: Vec::with_capacity(PATH_LENGTH),
             rule: config.free_space,
             started: false,
-            without_pose: 0,
+            lost: Lost::default(),
+            record: Vec::new(),
             report: Report::waiting("waiting for expanded images"),
         }
     }
 
-    fn take_states(&mut self, ports: &mut impl Ports) {
+    /// Takes up what a predecessor held. Returns whether there was anything.
+    fn restore(&mut self, ports: &mut impl Ports) -> bool {
+        let record = ports.images().get(RECORD_ID).and_then(|stored| record::read(&stored));
+        if let Some(record) = record {
+            let images = ports.images();
+            let elements = self.layout.elements();
+            // Reading an image checks that it is whole.
+            let is_there = |node: &Node| images.get(node.image_id).is_some_and(|image| image.len() == elements);
+            let parts = (record.newest, &record.keyframes[..], &record.recent[..]);
+            self.graph = DisparityGraph::restored(self.graph_rule, self.forget_s, parts, is_there);
+            self.path.extend(record.path.into_iter().take(PATH_LENGTH));
+        }
+        let held: Vec<u64> = self.graph.nodes().map(|node| node.image_id).chain([RECORD_ID]).collect();
+        let ids = ports.images().ids();
+        ids.into_iter().filter(|id| !held.contains(id)).for_each(|id| ports.images().remove(id));
+        self.graph.newest().is_some()
+    }
+
+    /// Takes the states that have arrived. Returns whether one of them corrects what was known.
+    fn take_states(&mut self, ports: &mut impl Ports) -> bool {
+        let mut corrects = false;
         while let Some(state) = ports.receive::<State>() {
             let state = state.header();
             let Some(pose) = state.world_from_body() else {
                 self.report.refuse("state is not finite");
                 continue;
             };
-            self.states.push(FlightTime::from_nanos(state.stamp.valid_ns), pose);
-            let here = pose.origin();
+            let (at, here) = (FlightTime::from_nanos(state.stamp.valid_ns), pose.origin());
+            match self.state {
+                Some((last, _)) if at <= last => corrects = true,
+                Some((last, there)) if there.distance(here) > JUMP.0 + JUMP.1 * at.seconds_since(last) => {
+                    self.begin_anew(ports);
+                    self.state = Some((at, here));
+                }
+                _ => self.state = Some((at, here)),
+            }
+            self.states.push(at, pose);
             if self.path.last().is_none_or(|last| last.distance(here) >= PATH_SPACING_M.min(self.rule.swept_radius_m)) {
                 if self.path.len() == PATH_LENGTH {
                     self.path.remove(0);
@@ -65,6 +120,16 @@ impl MemoryProcess {
                 self.path.push(here);
             }
         }
+        corrects
+    }
+
+    /// The estimate has jumped: where the keyframes were taken is not known any more.
+    fn begin_anew(&mut self, ports: &mut impl Ports) {
+        self.lost.jumps += 1;
+        self.graph.clear(|id| ports.images().remove(id));
+        self.states = PoseHistory::new(STATES);
+        self.path.clear();
+        self.report.refuse("the estimate of the pose has jumped: the map begins anew");
     }
 
     /// Puts the newest expanded image into the store, where it waits for the pose of its exposure.
@@ -72,46 +137,77 @@ impl MemoryProcess {
         let Some(image) = ports.latest::<Expanded>() else {
             return;
         };
-        if image.elements().len() != 3 * self.pixels {
-            self.report.refuse("expanded image is not of the rig's size");
+        let header = image.header();
+        let fits = header.expanded_layout() == Some(self.layout)
+            && header.radius_m == self.radius_m
+            && image.elements().len() == self.layout.elements();
+        if !fits {
+            self.lost.misfits += 1;
+            self.report.refuse("expanded image is not of the configured rig, margin, layers and radius");
             return;
         }
-        let exposure = FlightTime::from_nanos(image.header().stamp.valid_ns);
+        let exposure = FlightTime::from_nanos(header.stamp.valid_ns);
         // Exposures are unique within a run and, unlike sequence numbers, across restarts.
-        let id = image.header().stamp.valid_ns as u64;
-        if let Some((superseded, _)) = self.pending.take().filter(|(pending, _)| *pending != id) {
+        let id = header.stamp.valid_ns as u64;
+        let newest = self.pending.map(|(_, exposure)| exposure).max(self.graph.newest().map(|node| node.exposure));
+        if newest.is_some_and(|newest| exposure <= newest) || header.stamp.valid_ns < 0 {
+            self.lost.late += 1;
+            self.report.refuse("expanded image is not newer than the one before");
+            return;
+        }
+        if let Some((superseded, _)) = self.pending.take() {
             ports.images().remove(superseded);
-            self.without_pose += 1;
+            self.lost.without_pose += 1;
         }
         match ports.images().put(id, image.elements()) {
             Ok(()) => self.pending = Some((id, exposure)),
             Err(_) => {
+                self.lost.not_stored += 1;
                 self.report.refuse("cannot store a keyframe: shared memory is full");
             }
         }
     }
 
-    fn publish(&mut self, ports: &mut impl Ports, exposure: FlightTime) {
+    /// Adds the pending image to the graph, if its pose is known. Returns whether the graph has changed.
+    fn place_image(&mut self, ports: &mut impl Ports) -> bool {
+        let Some((id, exposure)) = self.pending else { return false };
+        match self.states.at(exposure) {
+            PoseAt::NotYet => false,
+            PoseAt::Forgotten => {
+                ports.images().remove(id);
+                self.pending = None;
+                self.lost.without_pose += 1;
+                self.report.refuse("no state at the exposure of an image");
+                false
+            }
+            PoseAt::Known(world_from_body) => {
+                self.pending = None;
+                let world_from_camera = world_from_body * self.mount.body_from_camera();
+                let node = Node { image_id: id, exposure, world_from_camera };
+                self.graph.insert(node, |forgotten| ports.images().remove(forgotten))
+            }
+        }
+    }
+
+    fn publish(&mut self, ports: &mut impl Ports) {
+        let Some(exposure) = self.graph.newest().map(|node| node.exposure) else { return };
+        // First of all, so that a successor knows what was published.
+        record::write(&self.graph, &self.path, &mut self.record);
+        if ports.images().put(RECORD_ID, &self.record).is_err() {
+            self.lost.not_stored += 1;
+        }
         let nodes: Vec<Keyframe> = self.graph.nodes().map(describe).collect();
-        let without_pose = self.without_pose;
+        let lost = self.lost;
         ports.publish::<Path>(exposure, self.path.len(), |_, points| {
             for (point, place) in points.iter_mut().zip(&self.path) {
                 *point = PathPoint { position_m: place.to_array() };
             }
         });
         ports.publish::<Keyframes>(exposure, nodes.len(), |set, keyframes| {
-            set.without_pose = without_pose;
+            (set.without_pose, set.late, set.misfits) = (lost.without_pose, lost.late, lost.misfits);
+            (set.not_stored, set.jumps) = (lost.not_stored, lost.jumps);
             keyframes.copy_from_slice(&nodes);
         });
-    }
-}
-
-fn describe(node: &Node) -> Keyframe {
-    Keyframe {
-        image_id: node.image_id,
-        exposure_ns: node.exposure.as_nanos(),
-        position_m: node.world_from_camera.origin().to_array(),
-        orientation: node.world_from_camera.rotation.to_wxyz(),
     }
 }
 
@@ -126,30 +222,25 @@ impl Process for MemoryProcess {
     }
 
     fn step<P: Ports>(&mut self, ports: &mut P) -> Report {
-        if !std::mem::replace(&mut self.started, true) {
-            // What a predecessor left has lost its poses with it.
-            ports.images().ids().into_iter().for_each(|id| ports.images().remove(id));
+        if !std::mem::replace(&mut self.started, true) && self.restore(ports) {
+            self.publish(ports);
         }
-        self.take_states(ports);
+        let corrects = self.take_states(ports);
+        let mut changed = false;
+        if corrects {
+            let (states, mount) = (&self.states, self.mount.body_from_camera());
+            let pose_at = |exposure| match states.at(exposure) {
+                PoseAt::Known(world_from_body) => Some(world_from_body * mount),
+                PoseAt::NotYet | PoseAt::Forgotten => None,
+            };
+            changed = self.graph.correct(pose_at) > 0;
+        }
         self.take_image(ports);
-        let Some((id, exposure)) = self.pending else {
+        changed |= self.place_image(ports);
+        if !changed {
             return self.report.idle();
-        };
-        match self.states.at(exposure) {
-            PoseAt::NotYet => self.report.idle(),
-            PoseAt::Forgotten => {
-                ports.images().remove(id);
-                (self.pending, self.without_pose) = (None, self.without_pose + 1);
-                self.report.refuse("no state at the exposure of an image")
-            }
-            PoseAt::Known(world_from_body) => {
-                self.pending = None;
-                let world_from_camera = world_from_body * self.mount.body_from_camera();
-                let node = Node { image_id: id, exposure, world_from_camera };
-                self.graph.insert(node, |forgotten| ports.images().remove(forgotten));
-                self.publish(ports, exposure);
-                self.report.worked()
-            }
         }
+        self.publish(ports);
+        self.report.worked()
     }
 }

@@ -1,51 +1,15 @@
 //! Three-valued occupancy: what the keyframes and the free-space evidence say about a point.
 
 use crate::evidence::FreeSpace;
-use ipc_types::disparity::SCALE;
-use ipc_types::messages::{NEVER_OCCUPIED, UNKNOWN_FRONT};
+use crate::graph::GraphRule;
+use crate::inference::{Inference, VOTE, Weights};
+use crate::lanes::{Places, Seen, Transforms, whole};
+use crate::votes::{Votes, flag};
+use ipc_types::messages::{ExpandedLayout, Layers, UNKNOWN_FRONT};
 use ipc_types::noise::NoiseModel;
-use ipc_types::{Camera, Point, Pose, StereoRig, World};
+use ipc_types::{Camera, FlightTime, Point, Pose, StereoRig, World};
+use multiversion::multiversion;
 use runtime::images::StoredImage;
-
-/// Weight of a vote for free or occluded against one for occupied (Table 3.1).
-const SAFE_DISCOUNT: f32 = 0.5;
-
-/// Views whose votes for occupied count in full.
-const WITNESSES: f32 = 2.0;
-
-/// Votes of one kind on a point. Views err together, so their sum is capped by the strongest among them.
-///
-/// Eq. 3.11 takes half of the safe votes' sum. What one view is too far away to resolve, such as a thin branch, its
-/// neighbours miss as well, and ten of them would outvote the one view that was near enough. So the safe sum counts for
-/// no more than the strongest free vote, and views from which the point is hidden clear nothing alone.
-///
-/// Far views pad an obstacle by what they cannot resolve. So the occupied sum counts for no more than twice its
-/// strongest vote, or no number of views from half of the distance could clear what a row of them padded.
-#[derive(Clone, Copy, Default)]
-struct Votes {
-    sum: f32,
-    strongest: f32,
-}
-
-impl Votes {
-    fn cast(&mut self, weight: f32) {
-        self.sum += weight;
-        self.strongest = self.strongest.max(weight);
-    }
-
-    /// A vote that supports others and counts for nothing alone.
-    fn support(&mut self, weight: f32) {
-        self.sum += weight;
-    }
-
-    fn as_occupied(self) -> f32 {
-        self.sum.min(WITNESSES * self.strongest)
-    }
-
-    fn as_safe(self) -> f32 {
-        (SAFE_DISCOUNT * self.sum).min(self.strongest)
-    }
-}
 
 /// Why a point is unknown.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, PartialOrd, Ord)]
@@ -72,8 +36,7 @@ pub enum Occupancy {
 /// The sum of the votes on a point, before a threshold makes an answer of it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Score {
-    /// Eq. 3.11: occupied votes, at most twice the strongest of them, minus half of the others, at most the strongest
-    /// free one.
+    /// Eq. 3.11, with what [`crate::Votes`] adds to it.
     pub sum: f32,
     /// Whether any view vouches for free space.
     pub vouched: bool,
@@ -81,46 +44,97 @@ pub struct Score {
     pub unknown: Unknown,
 }
 
-/// One keyframe, ready to be asked.
-#[derive(Clone, Debug)]
-struct KeyView {
-    /// Camera from world, row-major.
-    rotation: [[f32; 3]; 3],
-    origin: Point<World>,
-    image: StoredImage,
+/// Camera, vehicle and rules that a map is made with.
+#[derive(Clone, Copy, Debug)]
+pub struct MapModel {
+    /// The camera.
+    pub rig: StereoRig,
+    /// Its noise.
+    pub noise: NoiseModel,
+    /// Of the expanded images.
+    pub layout: ExpandedLayout,
+    /// Radius by which they are inflated, m.
+    pub radius_m: f32,
+    /// How votes are weighed.
+    pub inference: Inference,
+    /// After this time of being seen free again something is forgotten, s.
+    pub forget_s: f64,
 }
 
-enum Vote {
-    OutOfView,
-    NoReturn,
-    Occluded(f32),
-    Occupied(f32),
-    Free(f32),
-    FarBackground(f32),
+/// One keyframe, ready to be asked.
+#[derive(Clone, Debug)]
+pub(crate) struct KeyView {
+    rotation: [[f32; 3]; 3],
+    /// Camera from world, relative to the anchor ([`Transforms`]).
+    pub(crate) transform: [f32; 12],
+    pub(crate) origin: Point<World>,
+    pub(crate) exposure: FlightTime,
+    /// Exposure before that of the newest keyframe, ms.
+    pub(crate) exposure_ms: i32,
+    pub(crate) image: StoredImage,
+}
+
+impl KeyView {
+    /// A point in the camera's frame, m.
+    pub(crate) fn to_camera(&self, point: Point<World>, anchor: Point<World>) -> [f64; 3] {
+        let offset = (point - anchor).to_array();
+        let row = |row: usize| &self.transform[4 * row..4 * row + 4];
+        [0, 1, 2].map(|axis| {
+            let turned = row(axis).iter().zip(offset).map(|(&cell, offset)| f64::from(cell) * offset).sum::<f64>();
+            turned + f64::from(row(axis)[3])
+        })
+    }
+
+    /// The first four layers of a cell: of none if there is no such cell, which vouches for nothing.
+    #[inline(always)]
+    pub(crate) fn cell(&self, cell: u32) -> u64 {
+        let from = self.image.get(4 * cell as usize..);
+        from.and_then(|cells| cells.first_chunk()).map_or(0, |&cell| whole(cell))
+    }
+
+    /// The next two.
+    #[inline(always)]
+    pub(crate) fn next_cell(&self, layout: ExpandedLayout, cell: u32) -> [u16; 2] {
+        let from = self.image.get(4 * layout.cells() + 2 * cell as usize..);
+        from.and_then(|cells| cells.first_chunk()).copied().unwrap_or([UNKNOWN_FRONT; 2])
+    }
+}
+
+/// Keyframes that one place is looked up in at once.
+const KEYS: usize = 16;
+
+/// Some keyframes, a lane each.
+#[derive(Clone, Debug)]
+struct KeyGroup {
+    first: usize,
+    count: usize,
+    transforms: Transforms<KEYS>,
 }
 
 /// Keyframes and evidence, to be asked about points.
 #[derive(Clone, Debug)]
 pub struct View {
-    rig: StereoRig,
-    noise: NoiseModel,
-    focal_px: f32,
-    centre_px: (f32, f32),
-    focal_baseline: f32,
-    keys: Vec<KeyView>,
-    free_space: FreeSpace,
+    pub(crate) model: MapModel,
+    pub(crate) weights: Weights,
+    pub(crate) forget_ms: i32,
+    /// From the newest to the oldest.
+    pub(crate) keys: Vec<KeyView>,
+    groups: Vec<KeyGroup>,
+    /// What the f32 coordinates that are asked about are relative to.
+    pub(crate) anchor: Point<World>,
+    pub(crate) free_space: FreeSpace,
 }
 
 impl View {
     /// A view that knows nothing but `free_space`.
-    pub fn new(rig: StereoRig, noise: NoiseModel, free_space: FreeSpace) -> Self {
+    pub fn new(model: MapModel, free_space: FreeSpace) -> Self {
         Self {
-            focal_px: rig.focal_px as f32,
-            centre_px: (rig.cx_px as f32, rig.cy_px as f32),
-            focal_baseline: rig.focal_baseline_px_m() as f32,
-            rig,
-            noise,
+            weights: Weights::new(&model.rig, &model.noise, model.radius_m, model.inference),
+            forget_ms: (model.forget_s * 1e3).min(1e9) as i32,
+            model,
             keys: Vec::new(),
+            groups: Vec::new(),
+            anchor: Point::ZERO,
             free_space,
         }
     }
@@ -128,23 +142,52 @@ impl View {
     /// Forgets all keyframes.
     pub fn clear(&mut self) {
         self.keys.clear();
+        self.groups.clear();
     }
 
-    /// Adds a keyframe: its camera and its three planes. Returns false, and adds nothing, when the image is not
-    /// of the rig's size.
-    pub fn push(&mut self, world_from_camera: Pose<World, Camera>, image: StoredImage) -> bool {
-        let fits = image.len() == 3 * self.rig.pixels();
-        if fits {
-            let rotation = world_from_camera.inverse().rotation.to_matrix().map(|row| row.map(|cell| cell as f32));
-            self.keys.push(KeyView { rotation, origin: world_from_camera.origin(), image });
+    /// Adds a keyframe: its camera, its exposure and its cells. Returns false, and adds nothing, when the image is not
+    /// of the layout's size, the pose is not finite, or there are [`GraphRule::MOST`]. The order does not matter.
+    pub fn push(&mut self, world_from_camera: Pose<World, Camera>, exposure: FlightTime, image: StoredImage) -> bool {
+        let origin = world_from_camera.origin();
+        if image.len() != self.model.layout.elements() || !origin.is_finite() || self.keys.len() == GraphRule::MOST {
+            return false;
         }
-        fits
+        let rotation = world_from_camera.inverse().rotation.to_matrix().map(|row| row.map(|cell| cell as f32));
+        let newer = |key: &KeyView| (key.exposure, key.origin.to_array()) > (exposure, origin.to_array());
+        let place = self.keys.partition_point(newer);
+        let key = KeyView { rotation, transform: [0.0; 12], origin, exposure, exposure_ms: 0, image };
+        self.keys.insert(place, key);
+        self.anchor_keys();
+        true
+    }
+
+    /// Relates all keyframes to the newest one.
+    fn anchor_keys(&mut self) {
+        let newest = self.keys[0].exposure;
+        self.anchor = self.keys[0].origin;
+        self.groups.clear();
+        for (index, key) in self.keys.iter_mut().enumerate() {
+            let offset = self.anchor - key.origin;
+            let offset = [offset.x as f32, offset.y as f32, offset.z as f32];
+            for (row, [x, y, z]) in key.rotation.into_iter().enumerate() {
+                let at = x * offset[0] + y * offset[1] + z * offset[2];
+                key.transform[4 * row..4 * row + 4].copy_from_slice(&[x, y, z, at]);
+            }
+            key.exposure_ms = (key.exposure.seconds_since(newest) * 1e3).clamp(-1e9, 0.0) as i32;
+            if index % KEYS == 0 {
+                self.groups.push(KeyGroup { first: index, count: 0, transforms: Transforms::NONE });
+            }
+            let group = &mut self.groups[index / KEYS];
+            group.transforms.0.iter_mut().zip(key.transform).for_each(|(lanes, value)| lanes[index % KEYS] = value);
+            group.count += 1;
+        }
     }
 
     /// Half of the camera's horizontal field of view, rad.
     pub fn half_view_rad(&self) -> f64 {
-        let half_px = self.rig.cx_px.min(f64::from(self.rig.width_px) - 1.0 - self.rig.cx_px);
-        (half_px / self.rig.focal_px).atan()
+        let rig = &self.model.rig;
+        let half_px = rig.cx_px.min(f64::from(rig.width_px) - 1.0 - rig.cx_px);
+        (half_px / rig.focal_px).atan()
     }
 
     /// Number of keyframes.
@@ -164,254 +207,147 @@ impl View {
 
     /// What is known about a point: occupied from a score of `threshold` (γ) on.
     pub fn occupancy(&self, point: Point<World>, threshold: f32) -> Occupancy {
-        let score = self.score(point);
-        if score.sum >= threshold {
-            Occupancy::Occupied
-        } else if score.vouched || self.free_space.is_swept(point) || self.free_space.is_home(point) {
-            Occupancy::Free
-        } else {
-            Occupancy::Unknown(score.unknown)
-        }
+        let (sum, flags) = self.tally(point);
+        self.judge(point, sum, flags, threshold_votes(threshold))
     }
 
     /// The sum of the keyframes' votes on a point (Table 3.1).
     pub fn score(&self, point: Point<World>) -> Score {
-        let mut score = Score { sum: 0.0, vouched: false, unknown: Unknown::OutOfView };
-        let (mut occupied, mut safe, mut background) = (Votes::default(), Votes::default(), Votes::default());
-        for key in &self.keys {
-            match self.vote(key, point) {
-                Vote::OutOfView => {}
-                Vote::NoReturn => score.unknown = score.unknown.max(Unknown::NoReturn),
-                Vote::Occluded(weight) => {
-                    safe.support(weight);
-                    score.unknown = Unknown::Occluded;
-                }
-                Vote::Occupied(weight) => occupied.cast(weight),
-                Vote::Free(weight) => {
-                    safe.cast(weight);
-                    score.vouched = true;
-                }
-                Vote::FarBackground(weight) => {
-                    score.unknown = score.unknown.max(Unknown::NoReturn);
-                    background.cast(weight);
-                }
-            }
-        }
-        if background.sum > 0.0 && self.background_has_parallax(point) {
-            score.vouched = true;
-            safe.sum += background.sum;
-            safe.strongest = safe.strongest.max(background.strongest);
-        }
-        score.sum = occupied.as_occupied() - safe.as_safe();
-        score
+        let (sum, flags) = self.tally(point);
+        Score { sum: sum as f32 / VOTE, vouched: flags & flag::FREE != 0, unknown: why(flags) }
     }
 
-    /// Whether any two views of far background at a point lie a parallax apart.
-    fn background_has_parallax(&self, point: Point<World>) -> bool {
-        let sees = |key: &&KeyView| matches!(self.vote(key, point), Vote::FarBackground(_));
+    fn tally(&self, point: Point<World>) -> (i32, i32) {
+        let offset = point - self.anchor;
+        let place = [offset.x as f32, offset.y as f32, offset.z as f32];
+        let votes = ask_one(self, place);
+        let has_parallax = votes.has_background(0) && self.background_has_parallax(place);
+        votes.count(0, has_parallax)
+    }
+
+    /// An answer from a score and what was said.
+    #[inline(always)]
+    pub(crate) fn judge(&self, point: Point<World>, sum: i32, flags: i32, threshold: i32) -> Occupancy {
+        if sum >= threshold {
+            Occupancy::Occupied
+        } else if flags & flag::FREE != 0 || self.free_space.is_declared(point) {
+            Occupancy::Free
+        } else {
+            Occupancy::Unknown(why(flags))
+        }
+    }
+
+    /// Whether any two views of far background at a place lie a parallax apart.
+    pub(crate) fn background_has_parallax(&self, place: [f32; 3]) -> bool {
+        let mut flags = [0; GraphRule::MOST];
+        for (group, flags) in self.groups.iter().zip(flags.chunks_exact_mut(KEYS)) {
+            flags.copy_from_slice(&self.look(group, place).0);
+        }
+        self.lie_apart(&flags.map(|flags| flags == flag::FAR_BACKGROUND))
+    }
+
+    /// Whether any two of some keyframes lie a parallax apart.
+    pub(crate) fn lie_apart(&self, which: &[bool; GraphRule::MOST]) -> bool {
         let least_m = self.free_space.rule().background_parallax_m;
-        let mut views = self.keys.iter().filter(sees);
-        while let Some(view) = views.next() {
-            if views.clone().any(|other| other.origin.distance(view.origin) >= least_m) {
+        let mut views = self.keys.iter().zip(which).filter(|(_, is_one)| **is_one);
+        while let Some((view, _)) = views.next() {
+            if views.clone().any(|(other, _)| other.origin.distance(view.origin) >= least_m) {
                 return true;
             }
         }
         false
     }
 
-    fn vote(&self, key: &KeyView, point: Point<World>) -> Vote {
-        let offset = point - key.origin;
-        let offset = [offset.x as f32, offset.y as f32, offset.z as f32];
-        let [x, y, z] = key.rotation.map(|row| row[0] * offset[0] + row[1] * offset[1] + row[2] * offset[2]);
-        if z < 0.05 {
-            return Vote::OutOfView;
+    /// What a group of keyframes says of one place, and how much that weighs.
+    #[inline(always)]
+    fn look(&self, group: &KeyGroup, [x, y, z]: [f32; 3]) -> ([i32; KEYS], [i32; KEYS]) {
+        let places = Places { x: [x; KEYS], y: [y; KEYS], z: [z; KEYS] };
+        let mut seen = Seen::locate(&self.model, &group.transforms, &places);
+        let keys = &self.keys[group.first..][..group.count];
+        for (lane, key) in keys.iter().enumerate() {
+            seen.gathered[lane] = key.cell(seen.cell[lane]);
         }
-        let column = self.centre_px.0 + self.focal_px * x / z + 0.5;
-        let row = self.centre_px.1 + self.focal_px * y / z + 0.5;
-        // Written so that NaN is out of view.
-        let inside =
-            column >= 0.0 && row >= 0.0 && column < self.rig.width_px as f32 && row < self.rig.height_px as f32;
-        if !inside {
-            return Vote::OutOfView;
-        }
-        let pixels = self.rig.pixels();
-        let index = row as usize * self.rig.width_px as usize + column as usize;
-        let (front, back, near) = (key.image[index], key.image[pixels + index], key.image[2 * pixels + index]);
-        if front == UNKNOWN_FRONT {
-            return Vote::NoReturn;
-        }
-        let inverse_depth_px = self.focal_baseline / z;
-        let d = (inverse_depth_px - self.rig.doffs_px as f32) * SCALE;
-        let weight = self.noise.vote(inverse_depth_px, self.focal_baseline);
-        if d > f32::from(front) {
-            match (d > f32::from(near), back == NEVER_OCCUPIED) {
-                (true, _) => Vote::NoReturn,
-                (false, true) => Vote::FarBackground(weight),
-                (false, false) => Vote::Free(weight),
+        let (mut flags, past) = seen.classify();
+        if self.model.layout.layers == Layers::Four {
+            for (lane, key) in keys.iter().enumerate().filter(|(lane, _)| past[*lane] != 0) {
+                flags[lane] = seen.next(lane, key.next_cell(self.model.layout, seen.cell[lane]));
             }
-        } else if back != NEVER_OCCUPIED && d > f32::from(back) {
-            Vote::Occupied(weight)
-        } else {
-            Vote::Occluded(weight)
         }
+        let mut weights = [0; KEYS];
+        self.weights.fill(&seen.inverse_depth_px, &mut weights);
+        (flags, weights)
+    }
+
+    /// The votes of all keyframes on a block of places.
+    #[inline(always)]
+    fn look_at<const N: usize>(&self, places: &Places<N>) -> Votes<N> {
+        let (mut votes, layout) = (Votes::none(), self.model.layout);
+        for key in &self.keys {
+            let mut seen = Seen::locate(&self.model, &Transforms::splat(&key.transform), places);
+            if seen.is_nothing() {
+                continue;
+            }
+            let cells = key.image.as_chunks::<4>().0;
+            for lane in 0..N {
+                seen.gathered[lane] = whole(cells[seen.cell[lane] as usize]);
+            }
+            let (mut flags, past) = seen.classify();
+            if layout.layers == Layers::Four {
+                for lane in (0..N).filter(|&lane| past[lane] != 0) {
+                    flags[lane] = seen.next(lane, key.next_cell(layout, seen.cell[lane]));
+                }
+            }
+            let mut weights = [0; N];
+            self.weights.fill(&seen.inverse_depth_px, &mut weights);
+            votes.cast(&flags, &weights, key.exposure_ms, self.forget_ms);
+        }
+        votes
     }
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::FreeSpaceRule;
-    use ipc_types::{Rotation, Vector};
-
-    const RIG: StereoRig = StereoRig {
-        width_px: 32,
-        height_px: 24,
-        focal_px: 20.0,
-        cx_px: 15.5,
-        cy_px: 11.5,
-        baseline_m: 0.5,
-        doffs_px: 0.0,
-    };
-    const NOISE: NoiseModel =
-        NoiseModel { sigma_px: 0.1, sigma_m: 0.0, lambda_near: 3.0, lambda_far: 1.0, near_px: 8.0, far_px: 3.0 };
-    const RULE: FreeSpaceRule =
-        FreeSpaceRule { home_radius_m: 1.0, home_height_m: 2.0, swept_radius_m: 0.5, background_parallax_m: 0.5 };
-    const GAMMA: f32 = 0.9;
-
-    fn view() -> View {
-        View::new(RIG, NOISE, FreeSpace::new(RULE, Point::new(-50.0, 0.0, 0.0)))
-    }
-
-    /// Looks along the world's x axis from `x_m`; the same front, back and near limit (m) at every pixel.
-    fn wall(view: &mut View, x_m: f64, front_m: f64, back_m: f64) {
-        let value = |depth_m: f64| (RIG.disparity_px(depth_m) * f64::from(SCALE)) as u16;
-        let planes = [value(front_m), value(back_m), value(0.3)];
-        image(view, x_m, planes);
-    }
-
-    fn image(view: &mut View, x_m: f64, planes: [u16; 3]) {
-        let camera = Rotation::<World, ipc_types::Body>::IDENTITY * Rotation::camera_mount(0.0);
-        let pose = Pose { rotation: camera, translation: Vector::new(x_m, 0.0, 0.0) };
-        let pixels = planes.iter().flat_map(|&value| vec![value; RIG.pixels()]).collect::<Vec<_>>();
-        assert!(view.push(pose, pixels.into()));
-    }
-
-    fn at(view: &View, x_m: f64) -> Occupancy {
-        view.occupancy(Point::new(x_m, 0.0, 0.0), GAMMA)
-    }
-
-    #[test]
-    fn free_before_occupied_inside_unknown_behind_and_beside() {
-        let mut view = view();
-        assert_eq!(at(&view, 3.0), Occupancy::Unknown(Unknown::OutOfView));
-        wall(&mut view, 0.0, 4.0, 6.0);
-        assert_eq!(at(&view, 3.0), Occupancy::Free);
-        assert_eq!(at(&view, 5.0), Occupancy::Occupied);
-        assert_eq!(at(&view, 7.0), Occupancy::Unknown(Unknown::Occluded));
-        assert_eq!(at(&view, -3.0), Occupancy::Unknown(Unknown::OutOfView));
-        assert_eq!(at(&view, 0.2), Occupancy::Unknown(Unknown::NoReturn), "nearer than the near limit");
-    }
-
-    #[test]
-    fn unmatched_is_unknown() {
-        let mut view = view();
-        image(&mut view, 0.0, [UNKNOWN_FRONT, UNKNOWN_FRONT, 0]);
-        assert_eq!(at(&view, 3.0), Occupancy::Unknown(Unknown::NoReturn));
-    }
-
-    #[test]
-    fn far_background_needs_two_views_with_parallax() {
-        let far = (RIG.disparity_px(10.0) * f64::from(SCALE)) as u16;
-        let sky = [far, NEVER_OCCUPIED, u16::MAX];
-        let mut view = view();
-        image(&mut view, 0.0, sky);
-        image(&mut view, 0.1, sky);
-        assert_eq!(at(&view, 3.0), Occupancy::Unknown(Unknown::NoReturn));
-        image(&mut view, -0.4, sky);
-        assert_eq!(at(&view, 3.0), Occupancy::Free, "0.1 and -0.4, whatever the first is");
-        assert_ne!(at(&view, 12.0), Occupancy::Free);
-    }
-
-    #[test]
-    fn the_order_of_keyframes_does_not_matter() {
-        let walls = [(0.0, 4.0, 6.0), (1.0, 9.0, 12.0), (-2.0, 5.5, 8.0), (0.5, 3.0, 20.0)];
-        let answers = |order: [usize; 4]| {
-            let mut view = view();
-            order.iter().for_each(|&i| wall(&mut view, walls[i].0, walls[i].1, walls[i].2));
-            (1..80).map(|i| at(&view, f64::from(i) * 0.2)).collect::<Vec<_>>()
-        };
-        let reference = answers([0, 1, 2, 3]);
-        for order in [[3, 2, 1, 0], [1, 3, 0, 2], [2, 0, 3, 1]] {
-            assert_eq!(answers(order), reference);
+/// The votes of all keyframes on one place.
+#[multiversion(targets(
+    "x86_64+avx512f+avx512bw+avx512vl+avx512dq",
+    "x86_64+avx2+fma",
+    "x86_64+sse4.1",
+    "aarch64+neon"
+))]
+fn ask_one(view: &View, place: [f32; 3]) -> Votes<1> {
+    let mut votes = Votes::none();
+    for group in &view.groups {
+        let (flags, weights) = view.look(group, place);
+        for (lane, key) in view.keys[group.first..].iter().enumerate().take(group.count) {
+            if flags[lane] != flag::OUT_OF_VIEW {
+                votes.cast(&[flags[lane]], &[weights[lane]], key.exposure_ms, view.forget_ms);
+            }
         }
     }
+    votes
+}
 
-    #[test]
-    fn near_free_views_outvote_a_far_phantom() {
-        let mut view = view();
-        wall(&mut view, -8.0, 9.0, 12.0);
-        assert_eq!(at(&view, 2.0), Occupancy::Occupied);
-        wall(&mut view, 0.0, 15.0, 20.0);
-        assert_eq!(at(&view, 2.0), Occupancy::Free);
-    }
+/// The votes of all keyframes on a block of places.
+#[multiversion(targets(
+    "x86_64+avx512f+avx512bw+avx512vl+avx512dq",
+    "x86_64+avx2+fma",
+    "x86_64+sse4.1",
+    "aarch64+neon"
+))]
+pub(crate) fn ask_block<const N: usize>(view: &View, places: &Places<N>) -> Votes<N> {
+    view.look_at(places)
+}
 
-    #[test]
-    fn a_row_of_far_views_is_cleared_by_two_from_less_than_half_of_the_distance() {
-        let mut view = view();
-        (0..6).for_each(|i| wall(&mut view, -8.0 - 0.3 * f64::from(i), 9.0, 12.0));
-        wall(&mut view, -2.5, 15.0, 20.0);
-        wall(&mut view, -2.4, 15.0, 20.0);
-        assert_eq!(at(&view, 2.0), Occupancy::Free);
-    }
+/// A threshold as a whole number of votes.
+pub(crate) fn threshold_votes(threshold: f32) -> i32 {
+    (threshold * VOTE).ceil() as i32
+}
 
-    #[test]
-    fn a_row_of_views_is_not_cleared_by_one_from_a_third_or_two_from_more_than_half_of_the_distance() {
-        let mut view = view();
-        (0..6).for_each(|i| wall(&mut view, -8.0 - 0.3 * f64::from(i), 9.0, 12.0));
-        wall(&mut view, -1.4, 15.0, 20.0);
-        assert_eq!(at(&view, 2.0), Occupancy::Occupied);
-        view.clear();
-        (0..6).for_each(|i| wall(&mut view, -8.0 - 0.3 * f64::from(i), 9.0, 12.0));
-        wall(&mut view, -4.0, 15.0, 20.0);
-        wall(&mut view, -3.9, 15.0, 20.0);
-        assert_eq!(at(&view, 2.0), Occupancy::Occupied);
-    }
-
-    #[test]
-    fn ten_views_too_far_to_resolve_a_branch_do_not_outvote_one_that_is_near() {
-        let mut view = view();
-        // From 2 m away something is seen; from 4.5 m to 8 m away all looks free up to 20 m.
-        wall(&mut view, 0.0, 1.8, 2.6);
-        (0..10).for_each(|i| wall(&mut view, -2.5 - 0.35 * f64::from(i), 20.0, 25.0));
-        assert_eq!(at(&view, 2.0), Occupancy::Occupied);
-    }
-
-    #[test]
-    fn views_from_which_a_point_is_hidden_do_not_clear_it() {
-        let mut view = view();
-        wall(&mut view, -8.0, 9.0, 12.0);
-        (0..8).for_each(|i| wall(&mut view, -1.0 - 0.1 * f64::from(i), 1.0, 1.5));
-        assert_eq!(at(&view, 2.0), Occupancy::Occupied);
-    }
-
-    #[test]
-    fn evidence_of_free_space() {
-        let mut view = view();
-        view.free_space_mut().set_path([Point::new(3.0, 0.0, 0.0)]);
-        assert_eq!(at(&view, 3.4), Occupancy::Free);
-        assert_ne!(at(&view, 3.6), Occupancy::Free);
-        assert_eq!(at(&view, -50.5), Occupancy::Free, "home");
-        wall(&mut view, 0.0, 2.0, 6.0);
-        assert_eq!(at(&view, 3.4), Occupancy::Occupied, "an image says otherwise");
-    }
-
-    #[test]
-    fn hostile_points_and_images_are_unknown() {
-        let mut view = view();
-        assert!(!view.push(Pose::IDENTITY, vec![0; 5].into()));
-        wall(&mut view, 0.0, 4.0, 6.0);
-        for value in [f64::NAN, f64::INFINITY, 1e300, -1e300] {
-            assert!(matches!(at(&view, value), Occupancy::Unknown(_)), "{value}");
-        }
+/// Why nobody vouches.
+pub(crate) fn why(flags: i32) -> Unknown {
+    if flags & flag::OCCLUDED != 0 {
+        Unknown::Occluded
+    } else if flags & (flag::UNMEASURED | flag::FAR_BACKGROUND) != 0 {
+        Unknown::NoReturn
+    } else {
+        Unknown::OutOfView
     }
 }

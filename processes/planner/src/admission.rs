@@ -178,16 +178,16 @@ mod tests {
     use super::*;
     use crate::planner::tests::{FENCE, RIG, config, home_only};
     use crate::rollout::Target;
-    use ipc_types::{Body, Pose, Rotation, Vector};
+    use ipc_types::{Body, FlightTime, Pose, Rotation, Vector};
 
     /// All is free, but for a wall across the x axis whose margin begins at 4 m.
     fn before_a_wall() -> View {
         let mut view = home_only(200.0);
         let value = |depth_m: f64| (RIG.disparity_px(depth_m) * 64.0) as u16;
-        let planes = [value(4.0), value(6.0), value(0.3)];
-        let pixels: Vec<u16> = planes.iter().flat_map(|&plane| vec![plane; RIG.pixels()]).collect();
+        let cells = [value(0.3), value(4.0), value(6.0), 0].repeat(RIG.pixels());
         let rotation = Rotation::<World, Body>::IDENTITY * Rotation::camera_mount(0.0);
-        assert!(view.push(Pose { rotation, translation: Vector::new(0.0, 0.0, 2.0) }, pixels.into()));
+        let pose = Pose { rotation, translation: Vector::new(0.0, 0.0, 2.0) };
+        assert!(view.push(pose, FlightTime::from_nanos(0), cells.into()));
         view
     }
 

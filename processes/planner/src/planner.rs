@@ -347,8 +347,9 @@ fn travel_heading(velocity: Vector<World>, situation: &Situation) -> f64 {
 pub(crate) mod tests {
     use super::*;
     use ipc_types::StereoRig;
+    use ipc_types::messages::{ExpandedLayout, Layers};
     use ipc_types::noise::NoiseModel;
-    use memory::{FreeSpace, FreeSpaceRule};
+    use memory::{FreeSpace, FreeSpaceRule, Inference, MapModel};
 
     pub(crate) fn config() -> Config {
         Config {
@@ -402,7 +403,10 @@ pub(crate) mod tests {
         };
         let noise =
             NoiseModel { sigma_px: 0.5, sigma_m: 0.0, lambda_near: 3.0, lambda_far: 1.0, near_px: 10.0, far_px: 4.0 };
-        View::new(RIG, noise, FreeSpace::new(rule, Point::ZERO))
+        let layout = ExpandedLayout::new(&RIG, 0, Layers::Two);
+        let inference = Inference::Confidence;
+        let model = MapModel { rig: RIG, noise, layout, radius_m: 0.5, inference, forget_s: 1.0 };
+        View::new(model, FreeSpace::new(rule, Point::ZERO))
     }
 
     pub(crate) fn situation(now: f64, position: Point<World>, velocity: Vector<World>) -> Situation {

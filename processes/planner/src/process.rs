@@ -3,10 +3,9 @@
 use crate::{Config, Planner, Situation};
 use ipc_types::limits::Fence;
 use ipc_types::messages::{Goal, Keyframe, PlanMode, VehicleState};
-use ipc_types::noise::NoiseModel;
 use ipc_types::topics::{Goals, Keyframes, Path, Plan, State};
-use ipc_types::{FlightTime, Point, ProcessId, StereoRig, World};
-use memory::{FreeSpace, FreeSpaceRule, View};
+use ipc_types::{FlightTime, Point, ProcessId, World};
+use memory::{FreeSpace, FreeSpaceRule, MapModel, View};
 use runtime::images::StoredImage;
 use runtime::{Connect, Message, Ports, Process, Report};
 
@@ -27,16 +26,9 @@ pub struct PlannerProcess {
 
 impl PlannerProcess {
     /// For a vehicle that takes off at `home`.
-    pub fn new(
-        rig: StereoRig,
-        noise: NoiseModel,
-        rule: FreeSpaceRule,
-        config: Config,
-        fence: Fence,
-        home: Point<World>,
-    ) -> Self {
+    pub fn new(model: MapModel, rule: FreeSpaceRule, config: Config, fence: Fence, home: Point<World>) -> Self {
         Self {
-            view: View::new(rig, noise, FreeSpace::new(rule, home)),
+            view: View::new(model, FreeSpace::new(rule, home)),
             lead_s: config.lead_s,
             planner: Planner::new(config, fence, home),
             goal: None,
@@ -70,8 +62,10 @@ impl PlannerProcess {
                 self.images.push((keyframe.image_id, image.clone()));
                 Some(image)
             });
-            let usable =
-                image.zip(keyframe.world_from_camera()).is_some_and(|(image, pose)| self.view.push(pose, image));
+            let exposure = FlightTime::from_nanos(keyframe.exposure_ns);
+            let usable = image
+                .zip(keyframe.world_from_camera())
+                .is_some_and(|(image, pose)| self.view.push(pose, exposure, image));
             is_complete &= usable;
         }
         if let Some(path) = ports.latest::<Path>() {

@@ -1,0 +1,132 @@
+//! What the views' votes on a place come to.
+//!
+//! Table 3.1 adds votes up. Views err together, though, and things move:
+//!
+//! * Eq. 3.11 takes half of the safe votes' sum. What one view is too far away to resolve, such as a thin branch, its
+//!   neighbours miss as well, and ten of them would outvote the one view that was near enough. So the safe sum counts for
+//!   no more than the strongest free vote, and views from which the place is hidden clear nothing alone.
+//! * Far views pad an obstacle by what they cannot resolve. So the occupied sum counts for no more than twice its
+//!   strongest vote, or no number of views from half of the distance could clear what a row of them padded.
+//! * A vote for occupied is **superseded** when the place has been looked at again and found free: by three newer views,
+//!   hardly farther away than its own, where newer free views span the time after which things are forgotten, and none
+//!   newer sees it occupied. What has not been looked at again is never forgotten.
+//! * Free votes older than two that see the place occupied are overruled: something has come.
+//!
+//! Votes are whole numbers, and views are taken from the newest to the oldest by their exposure, so that the order in
+//! which they are held changes nothing.
+
+/// Newer free views that supersede a vote for occupied weigh no less than this share of it, the third of them included.
+const SHARE: (i32, i32) = (7, 10);
+/// Newer views that see a place occupied and overrule older ones that see it free.
+const WITNESSES: i32 = 2;
+
+/// What a view says of a place, as numbers: a set of flags, one of them set.
+pub(crate) mod flag {
+    /// Not in its view.
+    pub(crate) const OUT_OF_VIEW: i32 = 0;
+    pub(crate) const UNMEASURED: i32 = 1;
+    pub(crate) const OCCLUDED: i32 = 2;
+    pub(crate) const FREE: i32 = 4;
+    pub(crate) const FAR_BACKGROUND: i32 = 8;
+    pub(crate) const OCCUPIED: i32 = 16;
+}
+
+/// Votes on `N` places, one lane each.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Votes<const N: usize> {
+    occupied: [i32; N],
+    most_occupied: [i32; N],
+    witnesses: [i32; N],
+    safe: [i32; N],
+    most_free: [i32; N],
+    background: [i32; N],
+    most_background: [i32; N],
+    /// The three largest free votes so far, and when the newest and the oldest were exposed, ms.
+    first_free: [i32; N],
+    second_free: [i32; N],
+    third_free: [i32; N],
+    free_newest_ms: [i32; N],
+    free_oldest_ms: [i32; N],
+    /// Flags of all views that counted.
+    flags: [i32; N],
+}
+
+impl<const N: usize> Votes<N> {
+    pub(crate) const fn none() -> Self {
+        Self {
+            occupied: [0; N],
+            most_occupied: [0; N],
+            witnesses: [0; N],
+            safe: [0; N],
+            most_free: [0; N],
+            background: [0; N],
+            most_background: [0; N],
+            first_free: [0; N],
+            second_free: [0; N],
+            third_free: [0; N],
+            free_newest_ms: [i32::MIN; N],
+            free_oldest_ms: [i32::MIN; N],
+            flags: [0; N],
+        }
+    }
+
+    /// Counts the votes of the next older view: what it says, and how much that weighs.
+    #[inline(always)]
+    pub(crate) fn cast(&mut self, flags: &[i32; N], weights: &[i32; N], exposure_ms: i32, forget_ms: i32) {
+        for lane in 0..N {
+            let (flag, weight) = (flags[lane], weights[lane]);
+            let is = |which: i32| flag & which != 0;
+            let (first, second, third) = (self.first_free[lane], self.second_free[lane], self.third_free[lane]);
+            let span_ms = self.free_newest_ms[lane].wrapping_sub(self.free_oldest_ms[lane]);
+            // No product overflows: weights stay below 2²².
+            let looked_again = (third * SHARE.1 >= weight * SHARE.0)
+                & (third > 0)
+                & (span_ms >= forget_ms)
+                & (self.witnesses[lane] == 0);
+            let overruled = self.witnesses[lane] >= WITNESSES;
+            let take = |condition: bool| if condition { weight } else { 0 };
+
+            let occupied = take(is(flag::OCCUPIED) & !looked_again);
+            self.occupied[lane] += occupied;
+            self.most_occupied[lane] = self.most_occupied[lane].max(occupied);
+            self.witnesses[lane] += i32::from(is(flag::OCCUPIED) & !looked_again);
+
+            let free = take(is(flag::FREE) & !overruled);
+            self.safe[lane] += take(is(flag::FREE | flag::OCCLUDED) & !overruled);
+            self.most_free[lane] = self.most_free[lane].max(free);
+            let background = take(is(flag::FAR_BACKGROUND) & !overruled);
+            self.background[lane] += background;
+            self.most_background[lane] = self.most_background[lane].max(background);
+
+            // The three largest, in order.
+            self.first_free[lane] = first.max(free);
+            self.second_free[lane] = second.max(first.min(free));
+            self.third_free[lane] = third.max(second.min(free));
+            let is_free = is(flag::FREE);
+            let is_first = is_free & (self.free_newest_ms[lane] == i32::MIN);
+            self.free_newest_ms[lane] = if is_first { exposure_ms } else { self.free_newest_ms[lane] };
+            self.free_oldest_ms[lane] = if is_free { exposure_ms } else { self.free_oldest_ms[lane] };
+            let counts = !(overruled & is(flag::FREE | flag::FAR_BACKGROUND));
+            self.flags[lane] |= if counts { flag } else { 0 };
+        }
+    }
+
+    /// Whether views of far background are among the votes.
+    #[inline(always)]
+    pub(crate) fn has_background(&self, lane: usize) -> bool {
+        self.flags[lane] & flag::FAR_BACKGROUND != 0
+    }
+
+    /// The score of a place, in whole numbers, and what was said of it. Far background counts as free if it `has_parallax`.
+    #[inline(always)]
+    pub(crate) fn count(&self, lane: usize, has_parallax: bool) -> (i32, i32) {
+        let (mut safe, mut most_free, mut flags) = (self.safe[lane], self.most_free[lane], self.flags[lane]);
+        if has_parallax {
+            safe += self.background[lane];
+            most_free = most_free.max(self.most_background[lane]);
+            flags |= flag::FREE;
+        }
+        let occupied = self.occupied[lane].min(2 * self.most_occupied[lane]);
+        (occupied - (safe / 2).min(most_free), flags)
+    }
+}
