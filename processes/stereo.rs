@@ -1,13 +1,13 @@
 //! `sparrowhawk stereo`: one pair of images to disparity, on files.
 
+use crate::picture::save_disparity_picture;
 use clap::{Args, ValueEnum};
-use image::{Rgb, RgbImage};
 use ipc_types::StereoRig;
 use ipc_types::bounds::Bounds;
-use ipc_types::disparity::{MASKED, SCALE, is_valid};
+use ipc_types::disparity::{MASKED, is_valid};
 use serde::Serialize;
 use std::error::Error;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Instant;
 use stereo_ingest::calibration::Rectifier;
@@ -166,7 +166,7 @@ pub(crate) fn stereo(arguments: &StereoArguments) -> Result<ExitCode, Box<dyn Er
         save_disparity(path, rig.width_px, rig.height_px, &disparity)?;
     }
     if let Some(path) = &arguments.preview {
-        save_preview(path, &rig, &disparity)?;
+        save_disparity_picture(path, rig.width_px, rig.height_px, &disparity)?;
     }
     if let Some(path) = &arguments.summary {
         std::fs::write(path, serde_json::to_string_pretty(&summary)?)
@@ -232,15 +232,4 @@ fn print(summary: &StereoSummary, rig: Option<&StereoRig>) {
         println!("  of the matched       {bad1:.2} % off by more than 1 px, {bad2:.2} % by 2, {bad3:.2} % by 3");
         println!("  unmatched as bad     {all1:.2} %, {all2:.2} %, {all3:.2} %");
     }
-}
-
-fn save_preview(path: &Path, rig: &StereoRig, disparity: &[u16]) -> Result<(), Box<dyn Error>> {
-    let largest = disparity.iter().copied().max().unwrap_or(0).max(SCALE as u16);
-    let colour = |column: u32, row: u32| {
-        let pixel = disparity[(row * rig.width_px + column) as usize];
-        let colour = colorous::TURBO.eval_continuous(f64::from(pixel) / f64::from(largest));
-        if is_valid(pixel) { Rgb([colour.r, colour.g, colour.b]) } else { Rgb([0; 3]) }
-    };
-    let image = RgbImage::from_fn(rig.width_px, rig.height_px, colour);
-    image.save(path).map_err(|error| format!("{}: {error}", path.display()).into())
 }

@@ -249,6 +249,16 @@ impl<T, F> Rotation<T, F> {
         Self { quaternion, frames: PhantomData }
     }
 
+    /// From the rows of a matrix, or `None` when it is no rotation, but for rounding.
+    pub fn from_matrix(rows: [[f64; 3]; 3]) -> Option<Self> {
+        let matrix = nalgebra::Matrix3::from_fn(|row, column| rows[row][column]);
+        let off = (matrix * matrix.transpose() - nalgebra::Matrix3::identity()).norm();
+        // Written so that what is not a number is refused, too.
+        let is_rotation = off < 1e-2 && matrix.determinant() > 0.0;
+        let quaternion = || nalgebra::UnitQuaternion::from_matrix(&matrix);
+        is_rotation.then(quaternion).and_then(|q| Self::from_wxyz([q.w, q.i, q.j, q.k]))
+    }
+
     /// From a quaternion `[w, x, y, z]`, normalised here; `None` when it is not finite or nearly zero.
     pub fn from_wxyz(wxyz: [f64; 4]) -> Option<Self> {
         let [w, x, y, z] = wxyz;

@@ -2,7 +2,7 @@
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
-use ipc_types::messages::{Keyframe, PathPoint, TrajectoryPoint};
+use ipc_types::messages::{ExpandedImage, Keyframe, PathPoint, TrajectoryPoint};
 use ipc_types::topics::Topic;
 use ipc_types::wire::{Header, Wire};
 use serde_json::{Map, Value, json};
@@ -58,8 +58,10 @@ fn elements_of<T: Topic>(elements: &[T::Element]) -> Option<Value> {
 /// JSON schema of Foxglove's `RawImage`.
 pub(crate) const IMAGE_SCHEMA: &str = r#"{"title":"foxglove.RawImage","type":"object","properties":{"timestamp":{"type":"object","title":"time","properties":{"sec":{"type":"integer","minimum":0},"nsec":{"type":"integer","minimum":0}}},"frame_id":{"type":"string"},"width":{"type":"integer"},"height":{"type":"integer"},"encoding":{"type":"string"},"step":{"type":"integer"},"data":{"type":"string","contentEncoding":"base64"}}}"#;
 
-/// An image message: planes are stacked one above the other.
+/// An image message: planes are stacked one above the other. Cells of several numbers lie beside each other.
 pub(crate) fn image<T: Topic>(header: &T::Header, elements: &[T::Element], width: usize) -> Vec<u8> {
+    let expanded = (header as &dyn Any).downcast_ref::<ExpandedImage>();
+    let width = expanded.map_or(width, |image| 4 * image.width_px as usize);
     let bytes: &[u8] = bytemuck::cast_slice(elements);
     let pixel = size_of::<T::Element>();
     let nanos = header.stamp().valid_ns.max(0);
