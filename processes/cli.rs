@@ -3,7 +3,7 @@
 use crate::calibrate::{self, CalibrateArguments};
 use crate::child::{self, ChildArguments};
 use crate::config::FlightConfig;
-use crate::curves;
+use crate::curves::{CurvesArguments, curves};
 use crate::expand::{ExpandArguments, expand};
 use crate::fly::{FlyArguments, fly};
 use crate::map::{MapArguments, map};
@@ -42,6 +42,8 @@ enum Command {
     Expand(ExpandArguments),
     /// Make a map of depth images with poses: a voxel grid as pictures and as a list of points.
     Map(MapArguments),
+    /// Plot what a sensor's votes weigh by distance: probability mass and confidence.
+    Curves(CurvesArguments),
     /// Calibrate a stereo pair from chessboards, or check a calibration; measure the disparity error.
     Calibrate(CalibrateArguments),
     /// Check a configuration: every value, and how they fit each other.
@@ -58,9 +60,6 @@ struct CheckArguments {
     /// World: forest, field, wall, or a RON file.
     #[arg(long, value_name = "NAME|FILE")]
     world: Option<String>,
-    /// Plot what the sensor's votes weigh by distance: probability mass and confidence.
-    #[arg(long, value_name = "FILE.svg")]
-    curves: Option<PathBuf>,
 }
 
 /// Reads the command line and does what it says.
@@ -75,6 +74,7 @@ pub fn run() -> Result<ExitCode, Box<dyn Error>> {
         Command::Stereo(arguments) => stereo(&arguments),
         Command::Expand(arguments) => expand(&arguments),
         Command::Map(arguments) => map(&arguments),
+        Command::Curves(arguments) => curves(&arguments),
         Command::Calibrate(arguments) => calibrate::run(&arguments),
         Command::Check(arguments) => check(&arguments),
         Command::Process(arguments) => child::run(&arguments).map(|()| ExitCode::SUCCESS),
@@ -97,10 +97,6 @@ fn check(arguments: &CheckArguments) -> Result<ExitCode, Box<dyn Error>> {
         config.mission.cruise_speed_mps
     );
     println!("candidates             {}", vehicle.planner.candidates());
-    if let Some(path) = &arguments.curves {
-        curves::plot(path, &vehicle.rig, &vehicle.noise, vehicle.expansion.radius_m)?;
-        println!("curves                 {}", path.display());
-    }
     Ok(ExitCode::SUCCESS)
 }
 

@@ -1,11 +1,16 @@
-//! What a vote weighs by disparity, as a plot: the probability mass (DROAN, Fig. 3.13) and the confidence (Fig. 3.14).
+//! `sparrowhawk curves`: what a vote weighs by disparity, as a plot: the probability mass (DROAN, Fig. 3.13) and the
+//! confidence (Fig. 3.14).
 
+use clap::Args;
 use ipc_types::StereoRig;
+use ipc_types::bounds::Bounds;
 use ipc_types::noise::NoiseModel;
 use memory::probability_mass;
 use plotters::prelude::*;
 use std::error::Error;
-use std::path::Path;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use stereo_ingest::Calibration;
 
 /// Depths that are marked, m: those of Fig. 3.12.
 const MARKS_M: [f64; 2] = [50.0, 5.0];
@@ -16,8 +21,47 @@ fn confidence(rig: &StereoRig, noise: &NoiseModel, d: f64) -> f64 {
     ((d - sigma_px) / d).max(0.0)
 }
 
+/// Options of the command.
+#[derive(Clone, Debug, Args)]
+pub(crate) struct CurvesArguments {
+    /// The rectified camera: a rig (RON), or a calibration as `stereo --calib` takes it.
+    #[arg(long, value_name = "FILE")]
+    rig: PathBuf,
+    /// Radius of the vehicle, m.
+    #[arg(long, value_name = "M")]
+    radius: f32,
+    /// Standard deviation of disparity, px.
+    #[arg(long, value_name = "PX", default_value_t = 0.5)]
+    sigma: f32,
+    /// Where to draw.
+    #[arg(long, value_name = "FILE.svg")]
+    out: PathBuf,
+}
+
+pub(crate) fn curves(arguments: &CurvesArguments) -> Result<ExitCode, Box<dyn Error>> {
+    let (rig, _) = Calibration::load(&arguments.rig, None)?.rectify()?;
+    let (sigma_px, radius_m) = (arguments.sigma, arguments.radius);
+    // The schedule of lambda has no part in a vote.
+    let noise = NoiseModel { sigma_px, sigma_m: 0.0, lambda_near: 1.0, lambda_far: 1.0, near_px: 100.0, far_px: 10.0 };
+    let mut bounds = Bounds::default();
+    noise.check(&mut bounds, &rig);
+    bounds.range("radius", radius_m, 0.05..=5.0);
+    let violations = bounds.into_violations();
+    if !violations.is_empty() {
+        return Err(violations.join("\n").into());
+    }
+    plot(&arguments.out, &rig, &noise, radius_m)?;
+    for depth_m in MARKS_M {
+        let d = rig.focal_baseline_px_m() / depth_m;
+        let (mass, trust) = (probability_mass(&rig, &noise, radius_m, d), confidence(&rig, &noise, d));
+        println!("at {depth_m:>4} m              {d:.2} px: mass {mass:.4}, confidence {trust:.4}");
+    }
+    println!("written                {}", arguments.out.display());
+    Ok(ExitCode::SUCCESS)
+}
+
 /// Writes an SVG.
-pub(crate) fn plot(path: &Path, rig: &StereoRig, noise: &NoiseModel, radius_m: f32) -> Result<(), Box<dyn Error>> {
+fn plot(path: &Path, rig: &StereoRig, noise: &NoiseModel, radius_m: f32) -> Result<(), Box<dyn Error>> {
     if path.extension().is_none_or(|extension| extension != "svg") {
         return Err(format!("{}: plots are SVG; expected a name that ends in .svg", path.display()).into());
     }
@@ -54,6 +98,11 @@ pub(crate) fn plot(path: &Path, rig: &StereoRig, noise: &NoiseModel, radius_m: f
             chart.draw_series([Text::new(label, (d + most_px * 0.005, 0.06), ("sans-serif", 14))])?;
         }
     }
-    chart.configure_series_labels().position(SeriesLabelPosition::LowerRight).border_style(BLACK).draw()?;
+    chart
+        .configure_series_labels()
+        .position(SeriesLabelPosition::MiddleRight)
+        .background_style(WHITE.mix(0.8))
+        .border_style(BLACK)
+        .draw()?;
     area.present().map_err(|error| format!("{}: {error}", path.display()).into())
 }

@@ -29,7 +29,7 @@ pub(crate) struct ExpandArguments {
     /// The same upwards and downwards, m; the radius if not given.
     #[arg(long, value_name = "M")]
     half_height: Option<f32>,
-    /// Radius of the body that must have been measured around free space, m; half of the radius if not given.
+    /// Radius of the body that must have been measured around free space, m; half of the radius, 0.05 at least, if not given.
     #[arg(long, value_name = "M")]
     body_radius: Option<f32>,
     /// Front and back of the nearest group of surfaces, or of the next one behind it, too.
@@ -133,7 +133,7 @@ fn report(rig: &StereoRig, cells: &ExpandedCells<'_>, first: usize, stride: usiz
 impl ExpandArguments {
     fn config(&self) -> Config {
         let half_height_m = self.half_height.unwrap_or(self.radius);
-        let body_radius_m = self.body_radius.unwrap_or(0.5 * self.radius);
+        let body_radius_m = self.body_radius.unwrap_or((0.5 * self.radius).max(0.05));
         Config {
             half_height_m,
             layers: if self.layers == LayerCount::Two { Layers::Two } else { Layers::Four },

@@ -90,7 +90,7 @@ pub(crate) fn map(arguments: &MapArguments) -> Result<ExitCode, Box<dyn Error>> 
 impl MapArguments {
     /// The map after all frames, and the mean place that they were taken from.
     fn build(&self, rig: StereoRig) -> Result<(View, Point<World>), Box<dyn Error>> {
-        let body_m = 0.5 * self.radius;
+        let body_m = (0.5 * self.radius).max(0.05);
         let config = Config {
             layers: Layers::Four,
             body_radius_m: body_m,

@@ -312,8 +312,25 @@ fn the_commands_write_what_they_say() {
     let points = std::fs::read_to_string(scratch.path().join("kitchen.ply")).expect("written");
     let (head, points) = points.split_once("end_header\n").expect("a header");
     assert!(head.contains(&format!("element vertex {}\n", points.lines().count())) && points.lines().count() > 1000);
-    let curves = text(&scratch.path().join("curves.svg"));
-    let (done, said) = run(&["check", "--curves", &curves]);
-    let drawn = std::fs::read_to_string(&curves).unwrap_or_default();
-    assert!(done && drawn.contains("probability mass") && drawn.contains("50 m: 1.20 px"), "{said}");
+}
+
+/// Figs 3.13 and 3.14 for Table 5.1's rig: 50 m and 5 m are 3.60 px and 35.99 px.
+#[test]
+fn the_curves_of_the_thesis_are_drawn() {
+    let scratch = tempfile::tempdir().expect("writable");
+    let (rig, out) = (scratch.path().join("rig.ron"), scratch.path().join("curves.svg"));
+    let thesis = "(width_px: 640, height_px: 480, focal_px: 514.17, cx_px: 319.5, cy_px: 239.5, baseline_m: 0.35, doffs_px: 0.0)";
+    std::fs::write(&rig, thesis).expect("written");
+    let mut command = Command::new(env!("CARGO_BIN_EXE_sparrowhawk"));
+    command.arg("curves").arg("--rig").arg(&rig).args(["--radius", "0.5", "--sigma", "0.5", "--out"]).arg(&out);
+    let output = command.output().expect("runs");
+    let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    println!("{said}");
+    assert!(
+        said.contains("3.60 px: mass 0.0574, confidence 0.8611") && said.contains("35.99 px: mass 1.0000"),
+        "{said}"
+    );
+    let drawn = std::fs::read_to_string(&out).expect("written");
+    assert!(drawn.contains("50 m: 3.60 px") && drawn.contains("5 m: 35.99 px") && drawn.contains("probability mass"));
 }

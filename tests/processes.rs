@@ -139,6 +139,32 @@ fn stereo_memory_and_planner_may_be_killed_in_one_flight() {
     assert_eq!(flown.outcome(), "arrived");
 }
 
+/// A successor of the memory process goes on with the keyframes of its predecessor, but for the newest at most.
+#[test]
+fn a_killed_memory_is_back_with_its_keyframes() {
+    let run = Run::new("memory");
+    let flown = killed(&run, &["memory"]);
+    assert_eq!(flown.outcome(), "arrived");
+    let sets = logged(&run, "keyframe_set");
+    let incarnation = |set: &Value| set["stamp"]["incarnation"].as_u64().expect("a number");
+    let ids = |set: &Value| -> HashSet<u64> {
+        let keyframes = set["elements"].as_array().expect("a list").iter();
+        keyframes.map(|keyframe| keyframe["image_id"].as_u64().expect("a number")).collect()
+    };
+    let published_ms = |set: &Value| set["stamp"]["published_ns"].as_f64().expect("a time") * 1e-6;
+    let last = sets.iter().filter(|set| incarnation(set) == 0).next_back().expect("a predecessor");
+    let first = sets.iter().find(|set| incarnation(set) == 1).expect("a successor");
+    let (before, after) = (ids(last), ids(first));
+    println!(
+        "{} keyframes before, {} after, {:.1} ms between both sets",
+        before.len(),
+        after.len(),
+        published_ms(first) - published_ms(last)
+    );
+    assert!(before.len() > 5, "{last}");
+    assert!(before.difference(&after).count() <= 1, "{before:?} became {after:?}");
+}
+
 #[test]
 fn an_interrupt_stops_everything_cleanly() {
     let _alone = real_time();

@@ -39,6 +39,8 @@ pub struct MemoryProcess {
     path: Vec<Point<World>>,
     rule: FreeSpaceRule,
     started: bool,
+    /// Whether a predecessor's graph is still to be published.
+    is_restored: bool,
     lost: Lost,
     record: Vec<u16>,
     report: Report,
@@ -70,6 +72,7 @@ impl MemoryProcess {
             path: Vec::with_capacity(PATH_LENGTH),
             rule: config.free_space,
             started: false,
+            is_restored: false,
             lost: Lost::default(),
             record: Vec::new(),
             report: Report::waiting("waiting for expanded images"),
@@ -222,18 +225,19 @@ impl Process for MemoryProcess {
     }
 
     fn step<P: Ports>(&mut self, ports: &mut P) -> Report {
-        if !std::mem::replace(&mut self.started, true) && self.restore(ports) {
-            self.publish(ports);
+        if !std::mem::replace(&mut self.started, true) {
+            self.is_restored = self.restore(ports);
         }
         let corrects = self.take_states(ports);
-        let mut changed = false;
+        // With the first state the flight's time is known, too.
+        let mut changed = self.state.is_some() && std::mem::take(&mut self.is_restored);
         if corrects {
             let (states, mount) = (&self.states, self.mount.body_from_camera());
             let pose_at = |exposure| match states.at(exposure) {
                 PoseAt::Known(world_from_body) => Some(world_from_body * mount),
                 PoseAt::NotYet | PoseAt::Forgotten => None,
             };
-            changed = self.graph.correct(pose_at) > 0;
+            changed |= self.graph.correct(pose_at) > 0;
         }
         self.take_image(ports);
         changed |= self.place_image(ports);
