@@ -252,6 +252,12 @@ impl FlightConfig {
                 "is {speed_mps} m/s: stopping takes {stopping_m:.1} m, but the sensor is good for {range_m:.1} m"
             ),
         );
+        let radius_m = f64::from(vehicle.expansion.radius_m);
+        bounds.require(
+            radius_m < range_m,
+            "vehicle.expansion.radius_m",
+            format_args!("is {radius_m}, must be less than the {range_m:.2} m that the sensor is good for"),
+        );
         // Level acceleration at the candidates' limit against drag at cruise speed.
         let pull_mps2 = vehicle.planner.acceleration_mps2 + vehicle.simulator.vehicle.drag_hz * speed_mps;
         let tilt_deg = (pull_mps2 / 9.806_65).atan().to_degrees();
