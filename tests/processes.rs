@@ -152,7 +152,7 @@ fn a_killed_memory_is_back_with_its_keyframes() {
         keyframes.map(|keyframe| keyframe["image_id"].as_u64().expect("a number")).collect()
     };
     let published_ms = |set: &Value| set["stamp"]["published_ns"].as_f64().expect("a time") * 1e-6;
-    let last = sets.iter().filter(|set| incarnation(set) == 0).next_back().expect("a predecessor");
+    let last = sets.iter().rfind(|set| incarnation(set) == 0).expect("a predecessor");
     let first = sets.iter().find(|set| incarnation(set) == 1).expect("a successor");
     let (before, after) = (ids(last), ids(first));
     println!(

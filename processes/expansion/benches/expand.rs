@@ -29,7 +29,10 @@ fn noise(_: usize, _: usize, index: usize) -> u16 {
     if value.is_multiple_of(5) { NO_MATCH } else { encode(2.0 + (value % 6000) as f32 / 50.0) }
 }
 
-const SCENES: [(&str, fn(usize, usize, usize) -> u16); 4] = [
+/// Pixel of an image of a width and height.
+type Pixel = fn(usize, usize, usize) -> u16;
+
+const SCENES: [(&str, Pixel); 4] = [
     ("forest", forest),
     ("noise", noise),
     ("near", |_, _, index| encode(100.0 + (random(index) % 64) as f32 / 64.0)),

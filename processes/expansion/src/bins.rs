@@ -113,7 +113,8 @@ fn binned(edges: &[(f32, f32)], value: u16) -> u16 {
     let bin = (1..BINS).find(|&bin| near_px <= edges[bin].1).unwrap_or(BINS);
     let (far_px, edge_px) = edges[bin];
     let share = (near_px - far_px).max(0.0) / (edge_px - far_px).max(f32::MIN_POSITIVE);
-    (bin << BIN_BITS) as u16 | 2 * (share * STEPS).ceil().min(STEPS) as u16 | value & 1
+    let step = (share * STEPS).ceil().min(STEPS) as u16;
+    ((bin << BIN_BITS) as u16) | (2 * step) | (value & 1)
 }
 
 /// The near end that a binned value stands for, px.

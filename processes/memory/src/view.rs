@@ -36,7 +36,7 @@ pub enum Occupancy {
 /// The sum of the votes on a point, before a threshold makes an answer of it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Score {
-    /// Eq. 3.11, with what [`crate::Votes`] adds to it.
+    /// Eq. 3.11, with caps on both sides, and without what was superseded or overruled (`votes.rs`).
     pub sum: f32,
     /// Whether any view vouches for free space.
     pub vouched: bool,
