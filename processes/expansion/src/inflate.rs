@@ -67,17 +67,19 @@ impl<S: Spread> Inflate<S> {
         }
     }
 
-    /// Spreads the values of an image, given column by column. Returns the rows of the expanded image, of each the lines
+    /// Spreads the values of an image, given column by column, of each the lines of its values. Returns the rows of the expanded image, of each the lines
     /// of its values one after the other.
     pub(crate) fn step(&mut self, radii: &impl Radii, values: &[u16]) -> &[u16] {
         let (height, tall) = (self.column_axis.length_px(), self.column_axis.expanded_px());
         let (width, wide) = (self.row_axis.length_px(), self.row_axis.expanded_px());
         let axis = &self.column_axis;
         let share = width.div_ceil(self.columns.len());
-        let parts = values.chunks(share * height).zip(self.spread.chunks_mut(share * S::VALUES * tall));
+        let parts = values.chunks(share * S::VALUES * height).zip(self.spread.chunks_mut(share * S::VALUES * tall));
         each_part(&mut self.columns, parts, |worker, (values, spread)| {
-            for (values, spread) in values.chunks_exact(height).zip(spread.chunks_exact_mut(S::VALUES * tall)) {
-                spread_line(worker, axis, radii, &[values], spread);
+            let columns = values.chunks_exact(S::VALUES * height).zip(spread.chunks_exact_mut(S::VALUES * tall));
+            for (values, spread) in columns {
+                let line = |value: usize| &values[value.min(S::VALUES - 1) * height..][..height];
+                spread_line(worker, axis, radii, &[line(0), line(1), line(2)][..S::VALUES], spread);
             }
         });
         transpose(&self.spread, S::VALUES * tall, &mut self.sources);

@@ -1,13 +1,14 @@
 //! The next group of surfaces behind the nearest one, at half of the resolution.
 //!
 //! Half of the resolution is enough: what is inflated too much by it, two pixels at most, costs a little of the free
-//! space between both groups and nothing else. Between them it is free where nothing reaches, and the camera saw past the
-//! nearest group all around the body: no pixel that hides something behind it is nearer than the body's width.
+//! space between both groups. No surface is lost by it: a block keeps what lies behind its nearest pixel as well. Between
+//! the groups it is free where nothing reaches, and the camera saw past the nearest group all around the body: no pixel that
+//! hides something behind it is nearer than the body's width.
 
 use crate::bins::{BinTables, bin};
 use crate::clearance::{Body, Clearance};
 use crate::inflate::Inflate;
-use crate::range_groups::RangeGroups;
+use crate::range_groups::{RangeGroups, merge};
 use crate::tables::Tables;
 use crate::window::Axis;
 use ipc_types::disparity::SCALE;
@@ -26,7 +27,7 @@ pub(crate) struct NextGroup {
     /// Width and height of the camera's image, px.
     width: usize,
     height: usize,
-    /// Binned values of blocks, column by column.
+    /// Binned values of blocks, column by column: nearest, nearest of a later bin, nearest two bins later.
     blocks: Vec<u16>,
     /// Values where nothing behind is hidden, else 0.
     unhidden: Vec<u16>,
@@ -45,7 +46,7 @@ impl NextGroup {
         let (column_axis, row_axis) = (axis(rig.cy_px, height, stretch), axis(rig.cx_px, width, 1.0));
         Self {
             bins: BinTables::new(tables),
-            blocks: vec![0; column_axis.length_px() * row_axis.length_px()],
+            blocks: vec![0; 3 * column_axis.length_px() * row_axis.length_px()],
             inflate: Inflate::new(column_axis, row_axis, threads),
             clearance: Clearance::new(rig, body),
             unhidden: vec![0; rig.pixels()],
@@ -97,15 +98,18 @@ impl NextGroup {
         }
     }
 
-    /// The nearest of every block, column by column.
+    /// The values of every block, column by column: a block holds up to four, of which none that matters may be lost.
     fn gather_blocks(&mut self, values: &[u16]) {
         let tall = self.height.div_ceil(BLOCK);
         for (row, values) in values.chunks(BLOCK * self.width).enumerate() {
             let (above, below) = values.split_at(self.width);
             for (column, above) in above.chunks(BLOCK).enumerate() {
                 let below = below.get(column * BLOCK..).unwrap_or_default();
-                let nearest = above.iter().chain(below.iter().take(above.len())).copied().max().unwrap_or(0);
-                self.blocks[column * tall + row] = self.bins.binned(nearest);
+                let block = above.iter().chain(below.iter().take(above.len()));
+                let groups = block.fold([0; 3], |groups, &value| merge(groups, [self.bins.binned(value), 0, 0]));
+                for (number, value) in groups.into_iter().enumerate() {
+                    self.blocks[(3 * column + number) * tall + row] = value;
+                }
             }
         }
     }

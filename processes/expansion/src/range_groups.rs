@@ -23,7 +23,7 @@ pub(crate) struct RangeGroups {
 
 /// What both hold together.
 #[inline(always)]
-fn merge(a: Triple, b: Triple) -> Triple {
+pub(crate) fn merge(a: Triple, b: Triple) -> Triple {
     let a_wins = a[0] >= b[0];
     let (first, second, third) = if a_wins { (a[0], a[1], a[2]) } else { (b[0], b[1], b[2]) };
     let (first2, second2, third2) = if a_wins { (b[0], b[1], b[2]) } else { (a[0], a[1], a[2]) };

@@ -200,6 +200,51 @@ fn between_a_near_branch_and_a_far_wall_it_is_free_with_four_layers_alone() {
     }
 }
 
+/// Two wires beside each other, the farther one in the nearer one's block of pixels: neither may be lost.
+#[test]
+fn a_wire_beside_a_nearer_one_is_not_lost_with_four_layers() {
+    let mut behind = 0;
+    for column in [180, 181] {
+        for (near_m, far_m, wall_m, radius_m) in [(2.0, 6.0, 20.0, 0.65), (3.0, 8.0, 25.0, 0.65), (3.0, 10.0, 28.0, 1.0)] {
+            let rig = StereoRig {
+                width_px: 320,
+                height_px: 40,
+                focal_px: 200.0,
+                cx_px: 159.5,
+                cy_px: 19.5,
+                baseline_m: 0.3,
+                doffs_px: 0.0,
+            };
+            let (mut scene, mut random) = Scene::random(1);
+            scene.noise = NoiseModel { sigma_px: 0.4, sigma_m: 0.0, ..scene.noise };
+            scene.rig = rig;
+            scene.config = Config {
+                layers: Layers::Four,
+                body_radius_m: 0.3,
+                body_half_height_m: 0.1,
+                ..Config::for_sphere(radius_m)
+            };
+            let at = |depth_m: f64| encode(rig.disparity_px(depth_m) as f32);
+            let depth_m = |i: usize| match i as i32 % 320 - column {
+                0 => near_m,
+                1 => far_m,
+                _ => wall_m,
+            };
+            scene.image = (0..rig.pixels()).map(|i| at(depth_m(i))).collect();
+            let expanded = scene.expand();
+            let wire = rig.back_project(f64::from(column + 1), 19.5, rig.disparity_px(far_m));
+            for _ in 0..100_000 {
+                let [x, y, z] = random_offset(&mut random).map(|c| c * 0.999 * f64::from(radius_m));
+                let point = wire + Vector::from_array([x, y, z]);
+                let Some((seen, _)) = expanded.ask(point) else { continue };
+                assert_ne!(seen, Seen::Free, "wires at {near_m} and {far_m} m, column {column}: {point:?}");
+                behind += u32::from(expanded.is_behind_the_first(point));
+            }
+        }
+    }
+    assert!(behind > 10_000, "{behind}");
+}
+
 #[test]
 fn unknown_exceeds_the_unmatched_share_only_by_a_rim_of_one_pixel() {
     let (mut scene, _) = Scene::random(8);
