@@ -106,6 +106,17 @@ impl VehicleConfig {
                 "is {radius_m}, must be at least the hull's {hull_m} m plus {TRACKING_MARGIN_M} m of tracking error"
             ),
         );
+        if let memory::Inference::LogOdds { prior } = self.memory.inference {
+            let most = 2.0 * (1.0 / prior).ln();
+            bounds.require(
+                self.planner.gamma_high < most,
+                "planner.gamma_high",
+                format_args!(
+                    "is {}, must be less than {most:.2}, the most that votes weigh with a prior of {prior}",
+                    self.planner.gamma_high
+                ),
+            );
+        }
         let (brakes, planned) = (self.controller.braking_mps2, self.planner.braking_mps2);
         bounds.require(
             brakes >= planned,

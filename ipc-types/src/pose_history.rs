@@ -29,6 +29,11 @@ impl PoseHistory {
         Self { poses: VecDeque::with_capacity(capacity), capacity }
     }
 
+    /// Whether nothing is remembered.
+    pub fn is_empty(&self) -> bool {
+        self.poses.is_empty()
+    }
+
     /// Adds a pose. Poses that arrive late are put where they belong; a second pose for an instant replaces the first.
     pub fn push(&mut self, at: FlightTime, world_from_body: Pose<World, Body>) {
         let index = self.poses.partition_point(|(time, _)| *time < at);

@@ -205,7 +205,9 @@ fn between_a_near_branch_and_a_far_wall_it_is_free_with_four_layers_alone() {
 fn a_wire_beside_a_nearer_one_is_not_lost_with_four_layers() {
     let mut behind = 0;
     for column in [180, 181] {
-        for (near_m, far_m, wall_m, radius_m) in [(2.0, 6.0, 20.0, 0.65), (3.0, 8.0, 25.0, 0.65), (3.0, 10.0, 28.0, 1.0)] {
+        for (near_m, far_m, wall_m, radius_m) in
+            [(2.0, 6.0, 20.0, 0.65), (3.0, 8.0, 25.0, 0.65), (3.0, 10.0, 28.0, 1.0)]
+        {
             let rig = StereoRig {
                 width_px: 320,
                 height_px: 40,

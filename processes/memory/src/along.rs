@@ -17,9 +17,10 @@ const COARSEST_M: f64 = 0.64;
 pub const FINEST_M: f64 = 0.02;
 /// Longer lines are not walked, m.
 const LONGEST_M: f64 = 1e5;
-/// A point's projection may be rounded differently, px, and its disparity, share.
-const SLACK_PX: f64 = 0.02;
-const SLACK: f64 = 1e-4;
+/// A point that is asked alone goes through single precision: its projection may be off by this, px, its disparity by this
+/// share and so much in fixed point.
+const SLACK_PX: f64 = 0.1;
+const SLACK: (f64, f64) = (1e-3, 0.5);
 
 /// What a line must be.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -75,7 +76,7 @@ impl View {
 
     /// Distance to the nearest obstacle along a ray, m; `None` where there is none up to `most_m`.
     pub fn obstacle_m(&self, from: Point<World>, direction: Vector<World>, most_m: f64, threshold: f32) -> Option<f64> {
-        let to = from + direction * (most_m / direction.norm());
+        let to = from + direction * (most_m.max(0.0) / direction.norm());
         self.segment(from, to, threshold, Demand::NotOccupied).map(|hit| hit.distance_m)
     }
 
@@ -136,9 +137,9 @@ impl View {
             let inverse_px = |depth_m: f64| (self.model.rig.focal_baseline_px_m() / depth_m) as f32;
             let (least, most) = self.weights.range(inverse_px(depths_m[1]), inverse_px(depths_m[0]));
             let (flag, weight) = match said {
-                said if said & flag::OCCUPIED != 0 => (flag::OCCUPIED, most),
-                flag::FREE | flag::FAR_BACKGROUND => (said, least),
-                said if said & !(flag::FREE | flag::OCCLUDED) == 0 => (flag::OCCLUDED, least),
+                said if said & flag::OCCUPIED != 0 => (flag::OCCUPIED, most + 1),
+                flag::FREE | flag::FAR_BACKGROUND => (said, (least - 1).max(0)),
+                said if said & !(flag::FREE | flag::OCCLUDED) == 0 => (flag::OCCLUDED, (least - 1).max(0)),
                 _ => (flag::UNMEASURED, 0),
             };
             *background = flag == flag::FAR_BACKGROUND;
@@ -218,7 +219,8 @@ impl View {
                 (one.min(other), one.max(other))
             };
             let ((low, high), (d_low, d_high)) = (ordered(across), ordered(2));
-            let d = [d_low - SLACK * d_low.abs(), d_high + SLACK * d_high.abs()].map(|d| d as f32);
+            let slack = |d: f64| SLACK.0 * d.abs() + SLACK.1;
+            let d = [d_low - slack(d_low), d_high + slack(d_high)].map(|d| d as f32);
             for other in pixel(low - SLACK_PX, across)..=pixel(high + SLACK_PX, across) {
                 let (column, row) = if along == 0 { (step, other) } else { (other, step) };
                 said |= self.said_by_cell(key, row * layout.width_px + column, d);

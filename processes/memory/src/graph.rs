@@ -3,8 +3,9 @@
 //! The newest frame is always a node. It becomes a keyframe when the vehicle has moved `spacing_m` or turned
 //! `spacing_deg` since the last one; beyond `keyframes`, the oldest is forgotten. Two rules are added:
 //!
-//! * A keyframe whose anchor (the pose that made it one) lies within half of both spacings takes the newer frame in place
-//!   of its own, so that it is improved until the next one is taken, and when the vehicle comes back.
+//! * A keyframe whose anchor (the pose that made it one) lies within half of the spacing and a tenth of the angle, so that
+//!   both see nearly the same, takes the newer frame in place of its own once that is older than the time to forget. So it
+//!   is improved until the next one is taken, and when the vehicle comes back, and no single frame replaces another.
 //! * A few **recent** frames are nodes as well, evenly spaced in time: what moved is forgotten when it has been seen free
 //!   again for long enough ([`crate::View`]), also by a vehicle that hovers and takes no keyframes.
 //!
@@ -71,8 +72,8 @@ pub struct Place {
 #[derive(Clone, Debug)]
 pub struct DisparityGraph {
     rule: GraphRule,
-    /// Between recent frames, s.
-    recent_s: f64,
+    /// What moved is forgotten after this time, s.
+    forget_s: f64,
     newest: Option<Node>,
     /// From the newest to the oldest.
     keyframes: Vec<Place>,
@@ -83,8 +84,7 @@ impl DisparityGraph {
     /// An empty graph. What moved is forgotten after `forget_s`.
     pub fn new(rule: GraphRule, forget_s: f64) -> Self {
         let (keyframes, recent) = (Vec::with_capacity(rule.keyframes + 1), Vec::with_capacity(GraphRule::RECENT + 1));
-        // Two of the gaps between them, and the newest frame, span what is asked for.
-        Self { rule, recent_s: forget_s / 2.0, newest: None, keyframes, recent }
+        Self { rule, forget_s, newest: None, keyframes, recent }
     }
 
     /// A graph of what another one held, as far as `is_there` says that the image still is.
@@ -158,25 +158,29 @@ impl DisparityGraph {
             return false;
         }
         let before: Vec<u64> = self.nodes().map(|node| node.image_id).collect();
-        let (half_m, half_deg) = (self.rule.spacing_m / 2.0, self.rule.spacing_deg / 2.0);
+        let (half_m, tenth_deg) = (self.rule.spacing_m / 2.0, self.rule.spacing_deg / 10.0);
         let is_far = self.keyframes.first().is_none_or(|last| {
             let (distance_m, angle_deg) = frame.apart(&last.anchor);
             distance_m >= self.rule.spacing_m || angle_deg >= self.rule.spacing_deg
         });
-        let near = self.keyframes.iter_mut().find(|place| {
+        let near = self.keyframes.iter().position(|place| {
             let (distance_m, angle_deg) = frame.apart(&place.anchor);
-            distance_m < half_m && angle_deg < half_deg
+            distance_m < half_m && angle_deg < tenth_deg
         });
         match near {
-            Some(place) => place.frame = frame,
+            Some(index) if frame.exposure.seconds_since(self.keyframes[index].frame.exposure) >= self.forget_s => {
+                let place = self.keyframes.remove(index);
+                self.keyframes.insert(0, Place { frame, ..place });
+            }
             None if is_far => {
                 self.keyframes.insert(0, Place { anchor: frame, frame });
                 // One node is the newest frame, which moves on while the keyframes stay.
                 self.keyframes.truncate(self.rule.keyframes - 1);
             }
-            None => {}
+            _ => {}
         }
-        let is_due = |last: &Node| frame.exposure.seconds_since(last.exposure) >= self.recent_s;
+        // Two of the gaps between recent frames, and the newest frame, span the time to forget.
+        let is_due = |last: &Node| frame.exposure.seconds_since(last.exposure) >= self.forget_s / 2.0;
         if self.recent.first().is_none_or(is_due) {
             self.recent.insert(0, frame);
             self.recent.truncate(GraphRule::RECENT);
@@ -238,9 +242,23 @@ mod tests {
     }
 
     #[test]
-    fn a_hovering_vehicle_replaces_the_stale_view() {
-        let (nodes, forgotten) = fly([frame(1, 0.0, 0.0), frame(2, 1.5, 0.0), frame(3, 1.6, 1.0)]);
-        assert_eq!((nodes, forgotten), (vec![3, 1], vec![2]));
+    fn a_hovering_vehicle_replaces_its_view_in_time_and_only_by_one_that_sees_the_same() {
+        let at = |seconds: f64, number: u64, yaw_deg: f64| Node {
+            exposure: FlightTime::from_secs_f64(seconds),
+            ..frame(number, 1.6, yaw_deg)
+        };
+        let held = |frames: &[Node]| {
+            let mut graph = DisparityGraph::new(RULE, 1.0);
+            frames.iter().for_each(|&frame| assert!(graph.insert(frame, |_| {})));
+            graph.parts().1.iter().map(|place| place.frame.image_id).collect::<Vec<_>>()
+        };
+        let first = at(0.0, 1, 0.0);
+        assert_eq!(held(&[first, at(0.5, 2, 1.0)]), [1], "no single frame replaces another");
+        assert_eq!(held(&[first, at(1.5, 2, 14.0)]), [1], "it does not see what the first does");
+        assert_eq!(held(&[first, at(1.5, 2, 1.0)]), [2]);
+        // The vehicle comes back: what it sees now is the last to be forgotten.
+        let away = Node { exposure: FlightTime::from_secs_f64(0.7), ..frame(3, 5.0, 0.0) };
+        assert_eq!(held(&[first, away, at(1.5, 2, 1.0)]), [2, 3]);
     }
 
     #[test]

@@ -4,19 +4,24 @@
 //! at most, the one that was being taken.
 
 use crate::graph::{DisparityGraph, GraphRule, Node};
-use crate::record::{self, RECORD_ID, describe};
+use crate::record::{self, LastState, RECORD_ID, describe};
 use crate::{Config, FreeSpaceRule};
 use ipc_types::messages::{ExpandedLayout, Keyframe, PathPoint};
 use ipc_types::pose_history::{PoseAt, PoseHistory};
 use ipc_types::rig::CameraMount;
 use ipc_types::topics::{Expanded, Keyframes, Path, State};
-use ipc_types::{FlightTime, Point, ProcessId, World};
+use ipc_types::{Body, FlightTime, Point, Pose, ProcessId, World};
 use runtime::{Connect, Message, Ports, Process, Report};
 
 /// States remembered: a minute of them at 100 Hz, so that later corrections find the keyframes they concern.
 const STATES: usize = 6000;
-/// Between two states the vehicle moves no more than this, m and m/s: else the estimate has jumped.
+/// Between two states the vehicle moves no more than this, m and m/s, however long that is: else the estimate has jumped.
 const JUMP: (f64, f64) = (2.0, 60.0);
+const LONGEST_S: f64 = 0.5;
+/// A corrected state this far from what was known makes the path flown another, m.
+const CORRECTION_M: f64 = 0.05;
+/// No keyframe is so much newer than the newest state, s.
+const AHEAD_S: f64 = 1.0;
 /// Spacing of the flown path, m.
 const PATH_SPACING_M: f64 = 0.25;
 /// Places of the flown path kept.
@@ -29,8 +34,7 @@ pub struct MemoryProcess {
     graph_rule: GraphRule,
     forget_s: f64,
     states: PoseHistory,
-    /// The newest state: when, and where the vehicle was.
-    state: Option<(FlightTime, Point<World>)>,
+    state: LastState,
     mount: CameraMount,
     layout: ExpandedLayout,
     radius_m: f32,
@@ -43,6 +47,8 @@ pub struct MemoryProcess {
     is_restored: bool,
     lost: Lost,
     record: Vec<u16>,
+    /// Images that are no nodes any more, to be removed once that is known.
+    forgotten: Vec<u64>,
     report: Report,
 }
 
@@ -75,6 +81,7 @@ impl MemoryProcess {
             is_restored: false,
             lost: Lost::default(),
             record: Vec::new(),
+            forgotten: Vec::new(),
             report: Report::waiting("waiting for expanded images"),
         }
     }
@@ -86,20 +93,27 @@ impl MemoryProcess {
             let images = ports.images();
             let elements = self.layout.elements();
             // Reading an image checks that it is whole.
-            let is_there = |node: &Node| images.get(node.image_id).is_some_and(|image| image.len() == elements);
+            let is_ahead = |at: FlightTime| record.state.is_none_or(|(last, _)| at.seconds_since(last) > AHEAD_S);
+            let is_there = |node: &Node| {
+                let is_sound = node.image_id == node.exposure.as_nanos() as u64 && !is_ahead(node.exposure);
+                is_sound && images.get(node.image_id).is_some_and(|image| image.len() == elements)
+            };
             let parts = (record.newest, &record.keyframes[..], &record.recent[..]);
             self.graph = DisparityGraph::restored(self.graph_rule, self.forget_s, parts, is_there);
             self.path.extend(record.path.into_iter().take(PATH_LENGTH));
+            self.state = record.state;
         }
         let held: Vec<u64> = self.graph.nodes().map(|node| node.image_id).chain([RECORD_ID]).collect();
+        ports.images().remove_unfinished();
         let ids = ports.images().ids();
         ids.into_iter().filter(|id| !held.contains(id)).for_each(|id| ports.images().remove(id));
         self.graph.newest().is_some()
     }
 
-    /// Takes the states that have arrived. Returns whether one of them corrects what was known.
+    /// Takes the states that have arrived. Returns whether the graph may have changed: one of them corrects what was known,
+    /// or the estimate has jumped.
     fn take_states(&mut self, ports: &mut impl Ports) -> bool {
-        let mut corrects = false;
+        let mut changed = false;
         while let Some(state) = ports.receive::<State>() {
             let state = state.header();
             let Some(pose) = state.world_from_body() else {
@@ -108,28 +122,56 @@ impl MemoryProcess {
             };
             let (at, here) = (FlightTime::from_nanos(state.stamp.valid_ns), pose.origin());
             match self.state {
-                Some((last, _)) if at <= last => corrects = true,
-                Some((last, there)) if there.distance(here) > JUMP.0 + JUMP.1 * at.seconds_since(last) => {
-                    self.begin_anew(ports);
-                    self.state = Some((at, here));
+                Some((last, _)) if at <= last => changed |= self.correct(at, pose),
+                Some((last, there))
+                    if there.distance(here) > JUMP.0 + JUMP.1 * at.seconds_since(last).min(LONGEST_S) =>
+                {
+                    self.begin_anew();
+                    changed = true;
+                    self.remember(at, pose);
                 }
-                _ => self.state = Some((at, here)),
-            }
-            self.states.push(at, pose);
-            if self.path.last().is_none_or(|last| last.distance(here) >= PATH_SPACING_M.min(self.rule.swept_radius_m)) {
-                if self.path.len() == PATH_LENGTH {
-                    self.path.remove(0);
-                }
-                self.path.push(here);
+                _ => self.remember(at, pose),
             }
         }
-        corrects
+        changed
+    }
+
+    /// Takes the newest state.
+    fn remember(&mut self, at: FlightTime, pose: Pose<World, Body>) {
+        let here = pose.origin();
+        self.state = Some((at, here));
+        self.states.push(at, pose);
+        if self.path.last().is_none_or(|last| last.distance(here) >= PATH_SPACING_M.min(self.rule.swept_radius_m)) {
+            if self.path.len() == PATH_LENGTH {
+                self.path.remove(0);
+            }
+            self.path.push(here);
+        }
+    }
+
+    /// Takes a state that comes late, or for the second time. Returns whether it changes what was known.
+    fn correct(&mut self, at: FlightTime, pose: Pose<World, Body>) -> bool {
+        // What is older than all that is remembered concerns nothing any more.
+        let PoseAt::Known(known) = self.states.at(at) else { return false };
+        let off_m = known.origin().distance(pose.origin());
+        if off_m > JUMP.0 {
+            self.lost.jumps += 1;
+            self.report.refuse("a late state is far from where the vehicle was");
+            return false;
+        }
+        if off_m > CORRECTION_M {
+            // Which of its places have moved is not known any more, and none may be called free where nobody was.
+            self.path.clear();
+        }
+        self.states.push(at, pose);
+        true
     }
 
     /// The estimate has jumped: where the keyframes were taken is not known any more.
-    fn begin_anew(&mut self, ports: &mut impl Ports) {
+    fn begin_anew(&mut self) {
         self.lost.jumps += 1;
-        self.graph.clear(|id| ports.images().remove(id));
+        let forgotten = &mut self.forgotten;
+        self.graph.clear(|id| forgotten.push(id));
         self.states = PoseHistory::new(STATES);
         self.path.clear();
         self.report.refuse("the estimate of the pose has jumped: the map begins anew");
@@ -187,30 +229,33 @@ impl MemoryProcess {
                 self.pending = None;
                 let world_from_camera = world_from_body * self.mount.body_from_camera();
                 let node = Node { image_id: id, exposure, world_from_camera };
-                self.graph.insert(node, |forgotten| ports.images().remove(forgotten))
+                let forgotten = &mut self.forgotten;
+                self.graph.insert(node, |id| forgotten.push(id))
             }
         }
     }
 
     fn publish(&mut self, ports: &mut impl Ports) {
-        let Some(exposure) = self.graph.newest().map(|node| node.exposure) else { return };
-        // First of all, so that a successor knows what was published.
-        record::write(&self.graph, &self.path, &mut self.record);
+        let newest = self.graph.newest().map(|node| node.exposure);
+        let Some(valid) = newest.or(self.state.map(|(at, _)| at)) else { return };
+        // First of all, so that a successor knows what was published; what is no node any more goes last.
+        record::write(&self.graph, &self.path, self.state, &mut self.record);
         if ports.images().put(RECORD_ID, &self.record).is_err() {
             self.lost.not_stored += 1;
         }
         let nodes: Vec<Keyframe> = self.graph.nodes().map(describe).collect();
         let lost = self.lost;
-        ports.publish::<Path>(exposure, self.path.len(), |_, points| {
+        ports.publish::<Path>(valid, self.path.len(), |_, points| {
             for (point, place) in points.iter_mut().zip(&self.path) {
                 *point = PathPoint { position_m: place.to_array() };
             }
         });
-        ports.publish::<Keyframes>(exposure, nodes.len(), |set, keyframes| {
+        ports.publish::<Keyframes>(valid, nodes.len(), |set, keyframes| {
             (set.without_pose, set.late, set.misfits) = (lost.without_pose, lost.late, lost.misfits);
             (set.not_stored, set.jumps) = (lost.not_stored, lost.jumps);
             keyframes.copy_from_slice(&nodes);
         });
+        self.forgotten.drain(..).for_each(|id| ports.images().remove(id));
     }
 }
 
@@ -228,17 +273,18 @@ impl Process for MemoryProcess {
         if !std::mem::replace(&mut self.started, true) {
             self.is_restored = self.restore(ports);
         }
-        let corrects = self.take_states(ports);
-        // With the first state the flight's time is known, too.
-        let mut changed = self.state.is_some() && std::mem::take(&mut self.is_restored);
-        if corrects {
+        let mut changed = self.take_states(ports);
+        if changed {
             let (states, mount) = (&self.states, self.mount.body_from_camera());
             let pose_at = |exposure| match states.at(exposure) {
                 PoseAt::Known(world_from_body) => Some(world_from_body * mount),
                 PoseAt::NotYet | PoseAt::Forgotten => None,
             };
-            changed |= self.graph.correct(pose_at) > 0;
+            let held = self.graph.newest().is_some();
+            changed = self.graph.correct(pose_at) > 0 || !held;
         }
+        // With the first state the flight's time is known, too.
+        changed |= !self.states.is_empty() && std::mem::take(&mut self.is_restored);
         self.take_image(ports);
         changed |= self.place_image(ports);
         if !changed {

@@ -12,10 +12,14 @@ pub(crate) const RECORD_ID: u64 = u64::MAX;
 /// Version of the record.
 const VERSION: u64 = 1;
 /// Whole numbers before the keyframes: version, and how many there are of each kind.
-const HEAD: usize = 5;
+const HEAD: usize = 6;
+
+/// The newest state that a process knew: when, and where the vehicle was.
+pub(crate) type LastState = Option<(FlightTime, Point<World>)>;
 
 /// What a record holds.
 pub(crate) struct Record {
+    pub(crate) state: LastState,
     pub(crate) newest: Option<Node>,
     pub(crate) keyframes: Vec<Place>,
     pub(crate) recent: Vec<Node>,
@@ -38,9 +42,9 @@ fn node(keyframe: &Keyframe) -> Option<Node> {
 }
 
 /// Writes a record to `out`, as the image store takes it.
-pub(crate) fn write(graph: &DisparityGraph, path: &[Point<World>], out: &mut Vec<u16>) {
+pub(crate) fn write(graph: &DisparityGraph, path: &[Point<World>], state: LastState, out: &mut Vec<u16>) {
     let (newest, keyframes, recent) = graph.parts();
-    let counts = [usize::from(newest.is_some()), keyframes.len(), recent.len(), path.len()];
+    let counts = [newest.iter().count(), keyframes.len(), recent.len(), path.len(), state.iter().count()];
     out.clear();
     let mut push = |bytes: &[u8]| out.extend(bytes.chunks_exact(2).map(|pair| u16::from_le_bytes([pair[0], pair[1]])));
     push(&VERSION.to_le_bytes());
@@ -51,6 +55,10 @@ pub(crate) fn write(graph: &DisparityGraph, path: &[Point<World>], out: &mut Vec
         push(bytemuck::bytes_of(&describe(node)));
     }
     path.iter().for_each(|place| push(bytemuck::bytes_of(&place.to_array())));
+    if let Some((at, here)) = state {
+        push(&at.as_nanos().to_le_bytes());
+        push(bytemuck::bytes_of(&here.to_array()));
+    }
 }
 
 /// Reads a record; `None` where it is none.
@@ -62,8 +70,9 @@ pub(crate) fn read(stored: &[u16]) -> Option<Record> {
         return None;
     }
     let [newest, keyframes, recent, places] = [head.next()?, head.next()?, head.next()?, head.next()?];
+    let has_state = head.next()?;
     let most = GraphRule::MOST as u64;
-    if newest > 1 || keyframes > most || recent > most || places > 1 << 16 {
+    if newest > 1 || has_state > 1 || keyframes > most || recent > most || places > 1 << 16 {
         return None;
     }
     let (newest, keyframes) = (newest as usize, keyframes as usize);
@@ -71,12 +80,21 @@ pub(crate) fn read(stored: &[u16]) -> Option<Record> {
     let (nodes, rest) = rest.split_at_checked(nodes * size_of::<Keyframe>())?;
     let nodes = nodes.chunks_exact(size_of::<Keyframe>()).map(bytemuck::pod_read_unaligned::<Keyframe>);
     let nodes: Vec<Node> = nodes.map(|keyframe| node(&keyframe)).collect::<Option<_>>()?;
-    let (places, _) = rest.split_at_checked(places as usize * size_of::<[f64; 3]>())?;
+    let (places, rest) = rest.split_at_checked(places as usize * size_of::<[f64; 3]>())?;
     let places = places.chunks_exact(size_of::<[f64; 3]>()).map(bytemuck::pod_read_unaligned::<[f64; 3]>);
+    let state = match has_state {
+        0 => None,
+        _ => {
+            let (at, here) = rest.split_first_chunk()?;
+            let here = bytemuck::try_pod_read_unaligned(here).ok()?;
+            Some((FlightTime::from_nanos(i64::from_le_bytes(*at)), Point::from_array(here)))
+        }
+    };
     let (first, nodes) = nodes.split_at(newest);
     let (anchors, nodes) = nodes.split_at(keyframes);
     let (frames, recent) = nodes.split_at(keyframes);
     Some(Record {
+        state: state.filter(|(_, here)| here.is_finite()),
         newest: first.first().copied(),
         keyframes: anchors.iter().zip(frames).map(|(&anchor, &frame)| Place { anchor, frame }).collect(),
         recent: recent.to_vec(),
@@ -105,9 +123,10 @@ mod tests {
     fn a_graph_is_read_back_as_it_was() {
         let (graph, path) = (graph(), [Point::new(1.0, 2.0, 3.0), Point::new(-4.0, 0.5, 1.0)]);
         let mut stored = Vec::new();
-        write(&graph, &path, &mut stored);
+        let state = Some((FlightTime::from_nanos(77), Point::new(9.0, 8.0, 7.0)));
+        write(&graph, &path, state, &mut stored);
         let record = read(&stored).expect("whole");
-        assert_eq!(record.path, path);
+        assert_eq!((&record.path[..], record.state), (&path[..], state));
         let rule = GraphRule { keyframes: 6, spacing_m: 1.0, spacing_deg: 30.0 };
         let parts = (record.newest, &record.keyframes[..], &record.recent[..]);
         let restored = DisparityGraph::restored(rule, 1.0, parts, |_| true);
@@ -123,7 +142,7 @@ mod tests {
     #[test]
     fn what_is_cut_or_of_another_version_is_nothing() {
         let mut stored = Vec::new();
-        write(&graph(), &[Point::ZERO], &mut stored);
+        write(&graph(), &[Point::ZERO], Some((FlightTime::from_nanos(1), Point::ZERO)), &mut stored);
         for length in 0..stored.len() {
             assert!(read(&stored[..length]).is_none(), "{length}");
         }

@@ -153,7 +153,10 @@ impl View {
             return false;
         }
         let rotation = world_from_camera.inverse().rotation.to_matrix().map(|row| row.map(|cell| cell as f32));
-        let newer = |key: &KeyView| (key.exposure, key.origin.to_array()) > (exposure, origin.to_array());
+        // Ties are broken by the pose, so that the order of arrival cannot matter.
+        let newer = |key: &KeyView| {
+            (key.exposure, key.origin.to_array(), key.rotation) > (exposure, origin.to_array(), rotation)
+        };
         let place = self.keys.partition_point(newer);
         let key = KeyView { rotation, transform: [0.0; 12], origin, exposure, exposure_ms: 0, image };
         self.keys.insert(place, key);

@@ -10,7 +10,8 @@
 //! * A vote for occupied is **superseded** when the place has been looked at again and found free: by three newer views,
 //!   hardly farther away than its own, where newer free views span the time after which things are forgotten, and none
 //!   newer sees it occupied. What has not been looked at again is never forgotten.
-//! * Free votes older than two that see the place occupied are overruled: something has come.
+//! * Free votes older than two that see the place occupied are overruled: something has come. So are those that are older
+//!   by half of the time to forget than the newest view, where that sees it occupied.
 //!
 //! Votes are whole numbers, and views are taken from the newest to the oldest by their exposure, so that the order in
 //! which they are held changes nothing.
@@ -37,6 +38,8 @@ pub(crate) struct Votes<const N: usize> {
     occupied: [i32; N],
     most_occupied: [i32; N],
     witnesses: [i32; N],
+    /// 1 where the newest view sees the place occupied.
+    is_fresh: [i32; N],
     safe: [i32; N],
     most_free: [i32; N],
     background: [i32; N],
@@ -57,6 +60,7 @@ impl<const N: usize> Votes<N> {
             occupied: [0; N],
             most_occupied: [0; N],
             witnesses: [0; N],
+            is_fresh: [0; N],
             safe: [0; N],
             most_free: [0; N],
             background: [0; N],
@@ -83,13 +87,16 @@ impl<const N: usize> Votes<N> {
                 & (third > 0)
                 & (span_ms >= forget_ms)
                 & (self.witnesses[lane] == 0);
-            let overruled = self.witnesses[lane] >= WITNESSES;
+            let is_old = (self.is_fresh[lane] != 0) & (exposure_ms < -forget_ms / 2);
+            let overruled = (self.witnesses[lane] >= WITNESSES) | is_old;
             let take = |condition: bool| if condition { weight } else { 0 };
 
             let occupied = take(is(flag::OCCUPIED) & !looked_again);
             self.occupied[lane] += occupied;
             self.most_occupied[lane] = self.most_occupied[lane].max(occupied);
             self.witnesses[lane] += i32::from(is(flag::OCCUPIED) & !looked_again);
+
+            self.is_fresh[lane] |= i32::from(is(flag::OCCUPIED) & (exposure_ms == 0));
 
             let free = take(is(flag::FREE) & !overruled);
             self.safe[lane] += take(is(flag::FREE | flag::OCCLUDED) & !overruled);

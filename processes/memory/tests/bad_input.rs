@@ -180,9 +180,18 @@ fn a_pose_that_jumps_begins_the_map_anew() {
     assert!(bench.last().1.len() >= 3);
     bench.state(500, [103.0, 0.0, 2.0]);
     assert_eq!(bench.step().dropped, 1);
+    let (set, keyframes, _) = bench.last();
+    assert_eq!((set.jumps, keyframes.len()), (1, 0), "nobody goes on with the old map");
+    assert_eq!(bench.queues.images.ids().len(), 1, "nor finds it in the record");
+    // A late state that is somewhere else is no correction.
+    bench.state(490, [3.0, 0.0, 2.0]);
+    bench.state(495, [103.0, 0.0, 2.0]);
+    bench.state(510, [103.0, 0.0, 2.0]);
+    bench.state(505, [203.0, 0.0, 2.0]);
+    bench.step();
     bench.frame(600, [103.0, 0.0, 2.0]);
     let (set, keyframes, _) = bench.last();
-    assert_eq!((set.jumps, keyframes.len()), (1, 1));
+    assert_eq!((set.jumps, keyframes.len()), (2, 1));
     assert!((keyframes[0].position_m[0] - 103.0).abs() < 1e-9);
     assert_eq!(bench.queues.images.ids().len(), 2, "the image of the one node, and the record");
 }

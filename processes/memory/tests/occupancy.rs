@@ -200,9 +200,12 @@ fn what_has_come_since_overrules_that_it_was_free() {
     let mut view = view();
     (0..5).for_each(|i| wall_at(&mut view, f64::from(i), 1.0, 12.0, 15.0));
     assert_eq!(at(&view, 5.0), Occupancy::Free);
+    wall_at(&mut view, 4.3, -2.0, 6.0, 9.0);
+    assert_eq!(at(&view, 5.0), Occupancy::Occupied, "the newest view sees it");
     wall_at(&mut view, 6.0, -2.0, 6.0, 9.0);
-    wall_at(&mut view, 6.5, -2.0, 6.0, 9.0);
     assert_eq!(at(&view, 5.0), Occupancy::Occupied);
+    wall_at(&mut view, 6.1, -2.0, 12.0, 15.0);
+    assert_eq!(at(&view, 5.0), Occupancy::Occupied, "two views outweigh what is older");
 }
 
 /// Behind a branch there is free space again, if the image holds the next group.

@@ -124,6 +124,17 @@ impl ImageStore {
         }
     }
 
+    /// Removes what a writer began and did not finish. Nobody else may be writing.
+    pub fn remove_unfinished(&mut self) {
+        let Self::Folder(folder) = self else { return };
+        for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
+            if entry.path().extension().is_some_and(|extension| extension == "tmp") {
+                // Absent is as good as removed.
+                let _ = fs::remove_file(entry.path());
+            }
+        }
+    }
+
     /// Every id in the store, ascending.
     pub fn ids(&self) -> Vec<u64> {
         let mut ids: Vec<u64> = match self {
@@ -157,7 +168,11 @@ mod tests {
     fn both_stores_keep_replace_and_remove() {
         round_trip(ImageStore::in_memory());
         let folder = tempfile::tempdir().expect("temporary folder");
-        round_trip(ImageStore::Folder(folder.path().to_owned()));
+        let mut store = ImageStore::Folder(folder.path().to_owned());
+        round_trip(store.clone());
+        fs::write(folder.path().join("9.tmp"), b"half").expect("writable");
+        store.remove_unfinished();
+        assert!(!folder.path().join("9.tmp").exists() && store.get(7).is_some());
     }
 
     #[test]

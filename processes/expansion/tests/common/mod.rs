@@ -64,7 +64,8 @@ impl Scene {
             far_px: 3.0,
         };
         let radius_m = random.random_range(0.15_f32..1.6);
-        let half_height_m = if seed.is_multiple_of(2) { radius_m } else { radius_m * random.random_range(0.4_f32..1.3) };
+        let half_height_m =
+            if seed.is_multiple_of(2) { radius_m } else { radius_m * random.random_range(0.4_f32..1.3) };
         let config = Config {
             radius_m,
             half_height_m,
