@@ -17,10 +17,18 @@ const COARSEST_M: f64 = 0.64;
 pub const FINEST_M: f64 = 0.02;
 /// Longer lines are not walked, m.
 const LONGEST_M: f64 = 1e5;
-/// A point that is asked alone goes through single precision: its projection may be off by this, px, its disparity by this
-/// share and so much in fixed point.
-const SLACK_PX: f64 = 0.1;
-const SLACK: (f64, f64) = (1e-3, 0.5);
+/// A point that is asked alone goes through single precision, relative to the view's anchor: coordinates are off by this
+/// share of its distance, and what comes after adds a little, px and fixed point.
+const SINGLE: f64 = 5e-7;
+const SLACK_PX: f64 = 0.01;
+const SLACK: f64 = 0.02;
+
+/// How much a point that is asked alone may be off in the image, px, and in disparity, share.
+#[derive(Clone, Copy)]
+struct Slack {
+    px: f64,
+    share: f64,
+}
 
 /// What a line must be.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -158,8 +166,8 @@ impl View {
 
     /// All that a keyframe says of the points between two, and their least and largest depth; `None` where it sees none
     /// of them.
-    fn said_between(&self, key: &KeyView, a: Point<World>, b: Point<World>) -> Option<(i32, [f64; 2])> {
-        let (a, b) = (key.to_camera(a, self.anchor), key.to_camera(b, self.anchor));
+    fn said_between(&self, key: &KeyView, from: Point<World>, to: Point<World>) -> Option<(i32, [f64; 2])> {
+        let (a, b) = (key.to_camera(from, self.anchor), key.to_camera(to, self.anchor));
         let (rig, layout) = (&self.model.rig, self.model.layout);
         let margin = f64::from(layout.margin_px);
         let (centre_u, centre_v) = (rig.cx_px + margin, rig.cy_px + margin);
@@ -174,9 +182,14 @@ impl View {
                 (end_v - centre_v + slack_px) * z - rig.focal_px * y,
             ]
         };
-        let is_whole = [a, b].iter().all(|&end| sides(end, -SLACK_PX).iter().all(|&side| side > 0.0));
+        let far_m =
+            [from, to].iter().map(|end| end.distance(self.anchor)).fold(key.origin.distance(self.anchor), f64::max);
+        let near_m = a[2].min(b[2]).max(f64::from(NEAREST_M));
+        let share = SINGLE * (1.0 + far_m / near_m);
+        let slack = Slack { px: SLACK_PX + 2.0 * rig.focal_px * share, share };
+        let is_whole = [a, b].iter().all(|&end| sides(end, -slack.px).iter().all(|&side| side > 0.0));
         let (mut enter, mut leave) = (0.0_f64, 1.0_f64);
-        for (from, to) in sides(a, SLACK_PX).into_iter().zip(sides(b, SLACK_PX)) {
+        for (from, to) in sides(a, slack.px).into_iter().zip(sides(b, slack.px)) {
             match (from >= 0.0, to >= 0.0) {
                 (true, true) => {}
                 (false, true) => enter = enter.max(from / (from - to)),
@@ -194,12 +207,12 @@ impl View {
         };
         let (a, b) = (at(enter), at(leave));
         let partly = if is_whole { 0 } else { flag::UNMEASURED };
-        let said = self.said_in_image(key, image(a), image(b)) | partly;
+        let said = self.said_in_image(key, image(a), image(b), slack) | partly;
         Some((said, [a[2].min(b[2]), a[2].max(b[2])]))
     }
 
     /// What the cells between two places of the image say, columns and rows with slack.
-    fn said_in_image(&self, key: &KeyView, a: [f64; 3], b: [f64; 3]) -> i32 {
+    fn said_in_image(&self, key: &KeyView, a: [f64; 3], b: [f64; 3], slack: Slack) -> i32 {
         let layout = self.model.layout;
         // Along the axis on which it is longer, so that there are few cells across.
         let (along, across) = if (b[0] - a[0]).abs() >= (b[1] - a[1]).abs() { (0, 1) } else { (1, 0) };
@@ -208,9 +221,9 @@ impl View {
         let pixel = |value: f64, axis: usize| value.round().clamp(0.0, ends[axis]) as u32;
         let length = b[along] - a[along];
         let mut said = 0;
-        for step in pixel(a[along] - SLACK_PX, along)..=pixel(b[along] + SLACK_PX, along) {
+        for step in pixel(a[along] - slack.px, along)..=pixel(b[along] + slack.px, along) {
             let share = |side: f64| {
-                let share = (f64::from(step) + side * (0.5 + SLACK_PX) - a[along]) / length;
+                let share = (f64::from(step) + side * (0.5 + slack.px) - a[along]) / length;
                 if length > 1e-9 { share.clamp(0.0, 1.0) } else { side.max(0.0) }
             };
             let at = |axis: usize, side: f64| a[axis] + (b[axis] - a[axis]) * share(side);
@@ -219,9 +232,9 @@ impl View {
                 (one.min(other), one.max(other))
             };
             let ((low, high), (d_low, d_high)) = (ordered(across), ordered(2));
-            let slack = |d: f64| SLACK.0 * d.abs() + SLACK.1;
-            let d = [d_low - slack(d_low), d_high + slack(d_high)].map(|d| d as f32);
-            for other in pixel(low - SLACK_PX, across)..=pixel(high + SLACK_PX, across) {
+            let off = |d: f64| (slack.share + SINGLE) * d.abs() + SLACK;
+            let d = [d_low - off(d_low), d_high + off(d_high)].map(|d| d as f32);
+            for other in pixel(low - slack.px, across)..=pixel(high + slack.px, across) {
                 let (column, row) = if along == 0 { (step, other) } else { (other, step) };
                 said |= self.said_by_cell(key, row * layout.width_px + column, d);
             }
