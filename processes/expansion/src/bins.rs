@@ -125,3 +125,44 @@ fn near_end_px(edges: &[(f32, f32)], binned: u16) -> f32 {
     // for the others.
     if step >= STEPS { near_px } else { (far_px + (near_px - far_px) * step / STEPS) * (1.0 + 2.0 * f32::EPSILON) }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ipc_types::StereoRig;
+    use ipc_types::noise::NoiseModel;
+
+    /// Algorithm 1's `range`: what lies less than two radii behind a surface belongs to its group.
+    #[test]
+    fn what_lies_less_than_two_radii_behind_a_surface_is_in_its_bin_or_the_next() {
+        for (baseline_m, sigma_px, radius_m) in [(0.35, 0.5, 1.5), (0.17, 0.5, 0.5), (0.3, 0.1, 0.2), (0.1, 1.0, 0.3)] {
+            let rig = StereoRig {
+                width_px: 640,
+                height_px: 480,
+                focal_px: 514.17,
+                cx_px: 320.0,
+                cy_px: 240.0,
+                baseline_m,
+                doffs_px: 0.0,
+            };
+            let noise =
+                NoiseModel { sigma_px, sigma_m: 0.0, lambda_near: 3.0, lambda_far: 1.0, near_px: 20.0, far_px: 4.0 };
+            let tables = Tables::new(rig, noise, radius_m);
+            let bins = BinTables::new(&tables);
+            let value_at = |depth_m: f64| (rig.disparity_px(depth_m) * f64::from(SCALE)) as u16 & !1;
+            let mut previous = u16::MAX;
+            for step in 1..4000 {
+                let depth_m = 0.3 + f64::from(step) * 0.02;
+                let binned = bins.binned(value_at(depth_m));
+                assert!(binned <= previous, "values rise with disparity");
+                previous = binned;
+                let edges = edges(&tables);
+                assert!(f64::from(near_end_px(&edges, binned)) >= near_px(value_at(depth_m)) - 1e-6, "{depth_m} m");
+                for share in [0.3, 0.7, 0.99] {
+                    let behind = bins.binned(value_at(depth_m + share * 2.0 * radius_m));
+                    assert!(bin(binned) <= bin(behind) + 1, "{depth_m} m, {share} of {}", 2.0 * radius_m);
+                }
+            }
+        }
+    }
+}
