@@ -84,7 +84,9 @@ impl View {
 
     /// Distance to the nearest obstacle along a ray, m; `None` where there is none up to `most_m`.
     pub fn obstacle_m(&self, from: Point<World>, direction: Vector<World>, most_m: f64, threshold: f32) -> Option<f64> {
-        let to = from + direction * (most_m.max(0.0) / direction.norm());
+        // Written so that what is not a number is refused by the segment.
+        let most_m = if most_m < 0.0 { 0.0 } else { most_m };
+        let to = from + direction * (most_m / direction.norm());
         self.segment(from, to, threshold, Demand::NotOccupied).map(|hit| hit.distance_m)
     }
 
@@ -208,7 +210,7 @@ impl View {
         let (a, b) = (at(enter), at(leave));
         let partly = if is_whole { 0 } else { flag::UNMEASURED };
         let said = self.said_in_image(key, image(a), image(b), slack) | partly;
-        Some((said, [a[2].min(b[2]), a[2].max(b[2])]))
+        Some((said, [a[2].min(b[2]) * (1.0 - share), a[2].max(b[2]) * (1.0 + share)]))
     }
 
     /// What the cells between two places of the image say, columns and rows with slack.
@@ -232,7 +234,9 @@ impl View {
                 (one.min(other), one.max(other))
             };
             let ((low, high), (d_low, d_high)) = (ordered(across), ordered(2));
-            let off = |d: f64| (slack.share + SINGLE) * d.abs() + SLACK;
+            // What is rounded is f·b/z, before the principal points' difference is taken off.
+            let doffs = self.model.rig.doffs_px * f64::from(SCALE);
+            let off = |d: f64| (slack.share + SINGLE) * (d + doffs).abs() + SLACK;
             let d = [d_low - off(d_low), d_high + off(d_high)].map(|d| d as f32);
             for other in pixel(low - slack.px, across)..=pixel(high + slack.px, across) {
                 let (column, row) = if along == 0 { (step, other) } else { (other, step) };

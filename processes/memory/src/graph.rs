@@ -4,8 +4,9 @@
 //! `spacing_deg` since the last one; beyond `keyframes`, the oldest is forgotten. Two rules are added:
 //!
 //! * A keyframe whose anchor (the pose that made it one) lies within half of the spacing and a tenth of the angle, so that
-//!   both see nearly the same, takes the newer frame in place of its own once that is older than the time to forget. So it
-//!   is improved until the next one is taken, and when the vehicle comes back, and no single frame replaces another.
+//!   both see nearly the same, takes the newer frame in place of its own, once a recent frame that sees the same is older
+//!   than that by the time to forget. So it is improved until the next one is taken, by a vehicle that stays or comes back,
+//!   and what it saw has been looked at again for as long as forgetting takes.
 //! * A few **recent** frames are nodes as well, evenly spaced in time: what moved is forgotten when it has been seen free
 //!   again for long enough ([`crate::View`]), also by a vehicle that hovers and takes no keyframes.
 //!
@@ -163,21 +164,30 @@ impl DisparityGraph {
             let (distance_m, angle_deg) = frame.apart(&last.anchor);
             distance_m >= self.rule.spacing_m || angle_deg >= self.rule.spacing_deg
         });
-        let near = self.keyframes.iter().position(|place| {
-            let (distance_m, angle_deg) = frame.apart(&place.anchor);
-            distance_m < half_m && angle_deg < tenth_deg
-        });
-        match near {
-            Some(index) if frame.exposure.seconds_since(self.keyframes[index].frame.exposure) >= self.forget_s => {
+        let near = |place: &Place, node: &Node, deg: f64| {
+            let (distance_m, angle_deg) = node.apart(&place.anchor);
+            distance_m < half_m && angle_deg < deg
+        };
+        // For as long as that, frames have seen what the keyframe sees.
+        let is_due = |place: &Place| {
+            let looked = |node: &&Node| {
+                near(place, node, tenth_deg) && frame.exposure.seconds_since(node.exposure) >= self.forget_s
+            };
+            near(place, &frame, tenth_deg)
+                && self.recent.iter().any(|node| looked(&node) && node.exposure >= place.frame.exposure)
+        };
+        let is_near = self.keyframes.iter().any(|place| near(place, &frame, self.rule.spacing_deg / 2.0));
+        match self.keyframes.iter().position(is_due) {
+            Some(index) => {
                 let place = self.keyframes.remove(index);
                 self.keyframes.insert(0, Place { frame, ..place });
             }
-            None if is_far => {
+            None if is_far && !is_near => {
                 self.keyframes.insert(0, Place { anchor: frame, frame });
                 // One node is the newest frame, which moves on while the keyframes stay.
                 self.keyframes.truncate(self.rule.keyframes - 1);
             }
-            _ => {}
+            None => {}
         }
         // Two of the gaps between recent frames, and the newest frame, span the time to forget.
         let is_due = |last: &Node| frame.exposure.seconds_since(last.exposure) >= self.forget_s / 2.0;
@@ -253,12 +263,23 @@ mod tests {
             graph.parts().1.iter().map(|place| place.frame.image_id).collect::<Vec<_>>()
         };
         let first = at(0.0, 1, 0.0);
-        assert_eq!(held(&[first, at(0.5, 2, 1.0)]), [1], "no single frame replaces another");
+        assert_eq!(held(&[first, at(0.5, 2, 1.0)]), [1]);
         assert_eq!(held(&[first, at(1.5, 2, 14.0)]), [1], "it does not see what the first does");
-        assert_eq!(held(&[first, at(1.5, 2, 1.0)]), [2]);
-        // The vehicle comes back: what it sees now is the last to be forgotten.
-        let away = Node { exposure: FlightTime::from_secs_f64(0.7), ..frame(3, 5.0, 0.0) };
-        assert_eq!(held(&[first, away, at(1.5, 2, 1.0)]), [2, 3]);
+        assert_eq!(held(&[first, at(0.6, 2, 14.0), at(1.2, 3, 0.0)]), [3], "the first itself is a recent frame");
+        assert_eq!(held(&[first, at(0.5, 2, 1.0), at(1.0, 3, 0.0)]), [3]);
+        // The vehicle goes away and comes back: a single frame replaces nothing, frames for a second do, and what they
+        // see is then the last to be forgotten.
+        let away: Vec<Node> = (0..6)
+            .map(|i| Node {
+                exposure: FlightTime::from_secs_f64(0.1 + 0.6 * f64::from(i)),
+                ..frame(10 + i as u64, 5.0, 0.0)
+            })
+            .collect();
+        let back = [at(4.0, 20, 1.0), at(4.6, 21, 1.0), at(5.1, 22, 1.0)];
+        let flown = |frames: &[Node]| held(&[&[first], &away[..], frames].concat());
+        let (one, all) = (flown(&back[..1]), flown(&back));
+        assert!(one.contains(&1) && !one.contains(&20), "{one:?}");
+        assert_eq!((all[0], all.contains(&1)), (22, false), "{all:?}");
     }
 
     #[test]

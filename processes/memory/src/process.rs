@@ -18,7 +18,9 @@ const STATES: usize = 6000;
 /// Between two states the vehicle moves no more than this, m and m/s, however long that is: else the estimate has jumped.
 const JUMP: (f64, f64) = (2.0, 60.0);
 const LONGEST_S: f64 = 0.5;
-/// A corrected state this far from what was known makes the path flown another, m.
+/// A late state that has turned by more than this is no correction, rad.
+const TURN_RAD: f64 = 0.5;
+/// Corrections that add up to this make the path flown another, m.
 const CORRECTION_M: f64 = 0.05;
 /// No keyframe is so much newer than the newest state, s.
 const AHEAD_S: f64 = 1.0;
@@ -47,9 +49,24 @@ pub struct MemoryProcess {
     is_restored: bool,
     lost: Lost,
     record: Vec<u16>,
+    /// Exposure of the newest node that was published.
+    valid: FlightTime,
+    /// How far late states have moved what was known, since the path was last cleared, m.
+    corrected_m: f64,
     /// Images that are no nodes any more, to be removed once that is known.
     forgotten: Vec<u64>,
     report: Report,
+}
+
+/// What states have brought.
+#[derive(Clone, Copy, Debug, Default)]
+struct News {
+    /// Something earlier was corrected.
+    corrected: bool,
+    /// The path flown is not known any more.
+    cleared: bool,
+    /// The map begins anew.
+    jumped: bool,
 }
 
 /// What could not be used, by reason.
@@ -81,6 +98,8 @@ impl MemoryProcess {
             is_restored: false,
             lost: Lost::default(),
             record: Vec::new(),
+            valid: FlightTime::from_nanos(0),
+            corrected_m: 0.0,
             forgotten: Vec::new(),
             report: Report::waiting("waiting for expanded images"),
         }
@@ -110,10 +129,9 @@ impl MemoryProcess {
         self.graph.newest().is_some()
     }
 
-    /// Takes the states that have arrived. Returns whether the graph may have changed: one of them corrects what was known,
-    /// or the estimate has jumped.
-    fn take_states(&mut self, ports: &mut impl Ports) -> bool {
-        let mut changed = false;
+    /// Takes the states that have arrived.
+    fn take_states(&mut self, ports: &mut impl Ports) -> News {
+        let mut news = News::default();
         while let Some(state) = ports.receive::<State>() {
             let state = state.header();
             let Some(pose) = state.world_from_body() else {
@@ -122,18 +140,19 @@ impl MemoryProcess {
             };
             let (at, here) = (FlightTime::from_nanos(state.stamp.valid_ns), pose.origin());
             match self.state {
-                Some((last, _)) if at <= last => changed |= self.correct(at, pose),
+                // The first state after a restart is the newest, whatever the record says.
+                Some((last, _)) if at <= last && !self.states.is_empty() => self.correct(at, pose, &mut news),
                 Some((last, there))
-                    if there.distance(here) > JUMP.0 + JUMP.1 * at.seconds_since(last).min(LONGEST_S) =>
+                    if there.distance(here) > JUMP.0 + JUMP.1 * at.seconds_since(last).clamp(0.0, LONGEST_S) =>
                 {
                     self.begin_anew();
-                    changed = true;
+                    news.jumped = true;
                     self.remember(at, pose);
                 }
                 _ => self.remember(at, pose),
             }
         }
-        changed
+        news
     }
 
     /// Takes the newest state.
@@ -149,22 +168,28 @@ impl MemoryProcess {
         }
     }
 
-    /// Takes a state that comes late, or for the second time. Returns whether it changes what was known.
-    fn correct(&mut self, at: FlightTime, pose: Pose<World, Body>) -> bool {
-        // What is older than all that is remembered concerns nothing any more.
-        let PoseAt::Known(known) = self.states.at(at) else { return false };
+    /// Takes a state that comes late, or for the second time.
+    fn correct(&mut self, at: FlightTime, pose: Pose<World, Body>, news: &mut News) {
+        // What is older than all that is remembered concerns no keyframe whose pose is known any more.
+        let PoseAt::Known(known) = self.states.at(at) else {
+            self.lost.late += 1;
+            self.report.refuse("a state is older than all that is remembered");
+            return;
+        };
         let off_m = known.origin().distance(pose.origin());
-        if off_m > JUMP.0 {
+        if off_m > JUMP.0 || known.rotation.angle_to(pose.rotation) > TURN_RAD {
             self.lost.jumps += 1;
             self.report.refuse("a late state is far from where the vehicle was");
-            return false;
+            return;
         }
-        if off_m > CORRECTION_M {
+        self.corrected_m += off_m;
+        if self.corrected_m > CORRECTION_M {
             // Which of its places have moved is not known any more, and none may be called free where nobody was.
             self.path.clear();
+            (self.corrected_m, news.cleared) = (0.0, true);
         }
         self.states.push(at, pose);
-        true
+        news.corrected = true;
     }
 
     /// The estimate has jumped: where the keyframes were taken is not known any more.
@@ -236,8 +261,9 @@ impl MemoryProcess {
     }
 
     fn publish(&mut self, ports: &mut impl Ports) {
-        let newest = self.graph.newest().map(|node| node.exposure);
-        let Some(valid) = newest.or(self.state.map(|(at, _)| at)) else { return };
+        // Without a node it is as old as the last one.
+        self.valid = self.graph.newest().map_or(self.valid, |node| node.exposure);
+        let valid = self.valid;
         // First of all, so that a successor knows what was published; what is no node any more goes last.
         record::write(&self.graph, &self.path, self.state, &mut self.record);
         if ports.images().put(RECORD_ID, &self.record).is_err() {
@@ -273,15 +299,16 @@ impl Process for MemoryProcess {
         if !std::mem::replace(&mut self.started, true) {
             self.is_restored = self.restore(ports);
         }
-        let mut changed = self.take_states(ports);
-        if changed {
+        let news = self.take_states(ports);
+        // An empty map is published once, so that nobody goes on with the old one; it is as old as what it says.
+        let mut changed = news.jumped || news.cleared && self.graph.newest().is_some();
+        if news.corrected {
             let (states, mount) = (&self.states, self.mount.body_from_camera());
             let pose_at = |exposure| match states.at(exposure) {
                 PoseAt::Known(world_from_body) => Some(world_from_body * mount),
                 PoseAt::NotYet | PoseAt::Forgotten => None,
             };
-            let held = self.graph.newest().is_some();
-            changed = self.graph.correct(pose_at) > 0 || !held;
+            changed |= self.graph.correct(pose_at) > 0;
         }
         // With the first state the flight's time is known, too.
         changed |= !self.states.is_empty() && std::mem::take(&mut self.is_restored);

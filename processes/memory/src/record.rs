@@ -10,7 +10,7 @@ use ipc_types::{FlightTime, Point, World};
 /// Where it lies in the image store; no image has this exposure.
 pub(crate) const RECORD_ID: u64 = u64::MAX;
 /// Version of the record.
-const VERSION: u64 = 1;
+const VERSION: u64 = 2;
 /// Whole numbers before the keyframes: version, and how many there are of each kind.
 const HEAD: usize = 6;
 
@@ -83,7 +83,8 @@ pub(crate) fn read(stored: &[u16]) -> Option<Record> {
     let (places, rest) = rest.split_at_checked(places as usize * size_of::<[f64; 3]>())?;
     let places = places.chunks_exact(size_of::<[f64; 3]>()).map(bytemuck::pod_read_unaligned::<[f64; 3]>);
     let state = match has_state {
-        0 => None,
+        0 if rest.is_empty() => None,
+        0 => return None,
         _ => {
             let (at, here) = rest.split_first_chunk()?;
             let here = bytemuck::try_pod_read_unaligned(here).ok()?;
@@ -146,12 +147,12 @@ mod tests {
         for length in 0..stored.len() {
             assert!(read(&stored[..length]).is_none(), "{length}");
         }
-        for word in 0..20 {
+        for word in 0..4 * HEAD {
             let mut changed = stored.clone();
             changed[word] ^= 0x8001;
             assert!(read(&changed).is_none_or(|record| record.keyframes.len() < 64), "{word}");
         }
-        stored[0] = 2;
+        stored[0] = 1;
         assert!(read(&stored).is_none());
     }
 }

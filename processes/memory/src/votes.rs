@@ -118,10 +118,11 @@ impl<const N: usize> Votes<N> {
         }
     }
 
-    /// Whether views of far background are among the votes.
+    /// Whether views of far background are among the votes, and none of those that count may be overruled: what is seen
+    /// occupied by anything newer is no background.
     #[inline(always)]
     pub(crate) fn has_background(&self, lane: usize) -> bool {
-        self.flags[lane] & flag::FAR_BACKGROUND != 0
+        self.flags[lane] & flag::FAR_BACKGROUND != 0 && self.witnesses[lane] == 0
     }
 
     /// The score of a place, in whole numbers, and what was said of it. Far background counts as free if it `has_parallax`.

@@ -185,6 +185,7 @@ fn rays_and_trajectories_stop_at_the_first_obstacle() {
         }
         let nowhere = Point::new(f64::NAN, 0.0, 0.0);
         assert!(view.segment(nowhere, Point::ZERO, GAMMA, Demand::Free).is_some());
+        assert!(view.obstacle_m(Point::ZERO, Vector::new(1.0, 0.0, 0.0), f64::NAN, GAMMA).is_some());
         assert!(view.segment(Point::ZERO, Point::new(1e300, 1e300, 1e300), GAMMA, Demand::Free).is_some());
     }
     assert!(found > 200, "{found}");

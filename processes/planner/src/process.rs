@@ -49,10 +49,10 @@ impl PlannerProcess {
         self
     }
 
-    /// Brings the view up to date with a keyframe set. Returns whether it is complete: a missing keyframe may be the
-    /// one that sees an obstacle.
+    /// Brings the view up to date with a keyframe set. Returns whether it is complete: a missing keyframe may be the one
+    /// that sees an obstacle, and a map without any is none.
     fn look(&mut self, ports: &mut impl Ports, keyframes: &[Keyframe]) -> bool {
-        let mut is_complete = true;
+        let mut is_complete = !keyframes.is_empty();
         self.images.retain(|(id, _)| keyframes.iter().any(|keyframe| keyframe.image_id == *id));
         self.view.clear();
         for keyframe in keyframes {
@@ -121,7 +121,7 @@ impl Process for PlannerProcess {
         };
         if self.avoidance && !self.look(ports, set.elements()) {
             // The plan being flown ends at rest, and without a next one the controller brakes in time.
-            return self.report.refuse("a keyframe is missing or damaged");
+            return self.report.refuse("the map is empty, or a keyframe is missing or damaged");
         }
         let Some(situation) = self.situation(ports.now(), FlightTime::from_nanos(set.header().stamp.valid_ns)) else {
             return self.report.degraded(if self.goal.is_none() {
