@@ -67,8 +67,8 @@ impl<S: Spread> Inflate<S> {
         }
     }
 
-    /// Spreads the values of an image, given column by column, of each the lines of its values. Returns the rows of the expanded image, of each the lines
-    /// of its values one after the other.
+    /// Spreads the values of an image, given column by column, of each the lines of its values. Returns the rows of the
+    /// expanded image, likewise.
     pub(crate) fn step(&mut self, radii: &impl Radii, values: &[u16]) -> &[u16] {
         let (height, tall) = (self.column_axis.length_px(), self.column_axis.expanded_px());
         let (width, wide) = (self.row_axis.length_px(), self.row_axis.expanded_px());

@@ -8,13 +8,13 @@
 //!   ellipsoid's silhouette, found from the ellipsoid's two tangents per axis (`window.rs`) instead of a table of whole
 //!   disparities, and the box is filled by a windowed maximum (`range_max.rs`), columns first, then rows (`inflate.rs`).
 //!   The box contains the silhouette, so nothing is missed; corners and rims are over-expanded: what is called
-//!   occupied lies within a box about the interval, of half the width, height and depth of the ellipsoid's axes.
+//!   occupied lies within the silhouette's box, and in depth within a radius of the interval.
 //! * **Back** is the far end of the surface that owns the front: z(d − λσ) + r of the winning pixel. What continues
 //!   behind is occluded, never free.
 //! * **Second front and back**, with four layers, are those of the next group of surfaces behind the nearest one
 //!   (`next_group.rs`). A surface belongs to the nearest group at least while it lies less than two radii behind the
-//!   winner (Algorithm 1's `range`), at most while it lies within two bins of depth (`bins.rs`). Between the groups there is free space where
-//!   the **gap limit** says so: the camera saw past the nearest group, all around the body.
+//!   winner (Algorithm 1's `range`), at most while it lies within two bins of depth (`bins.rs`). Between the groups there
+//!   is free space where the **gap limit** says so: the camera saw past the nearest group, all around the body.
 //! * **Near limit**: closer than this, a body centred on the pixel's ray would reach pixels that were not
 //!   measured or lie outside the image, so the image does not vouch for free space there (`clearance.rs`).
 //! * **Margin**: cells beyond the camera's image are occupied where something at its border reaches them, else unknown.
