@@ -6,7 +6,8 @@
 //!   and made of integers, floats and arrays only, so that any bit pattern is valid to receive.
 //! * **Geometry and time**: [`frames`] (typed points, vectors, rotations, poses), [`time`], [`rig`] (rectified
 //!   stereo camera), [`disparity`] (fixed-point encoding), [`noise`] (σ and the λ schedule) and
-//!   [`pose_history`] (pose at the instant of exposure).
+//!   [`pose_history`] (pose at the instant of exposure), and
+//!   [`rounding`] for the code that looks images up.
 //!
 //! This crate refuses to know transport, files, clocks and threads.
 
@@ -19,6 +20,7 @@ pub mod noise;
 pub mod pose_history;
 pub mod process;
 pub mod rig;
+pub mod rounding;
 pub mod time;
 pub mod topics;
 pub mod wire;

@@ -1,8 +1,8 @@
 //! How far around a pixel all is clear, and how near a body may therefore be.
 
-use crate::window::to_nearest;
 use ipc_types::StereoRig;
 use ipc_types::disparity::SCALE;
+use ipc_types::rounding::to_nearest;
 use multiversion::multiversion;
 
 /// The vehicle's body as a cylinder about the vertical, for cameras that look about level.

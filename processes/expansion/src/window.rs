@@ -7,6 +7,8 @@
 //!
 //! An ellipsoid that is flatter or taller than wide is a sphere once that axis has been stretched.
 
+use ipc_types::rounding::to_nearest;
+
 /// One side of every pixel: its slope, c = √(1 + slope²), and 1/2c.
 #[derive(Debug)]
 struct Side {
@@ -102,14 +104,6 @@ impl Axis {
             ends[i] = to_nearest(if outside { place } else { inside });
         }
     }
-}
-
-/// A number from 0 to 2²² rounded to the nearest integer. A cast would saturate, and does not vectorise.
-#[inline(always)]
-pub(crate) fn to_nearest(value: f32) -> u32 {
-    const SHIFT: f32 = 8_388_608.0;
-    // From 2²³ to 2²⁴ a float's steps are integers, and its lower bits count them.
-    (value + SHIFT).to_bits() - SHIFT.to_bits()
 }
 
 #[cfg(test)]

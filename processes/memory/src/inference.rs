@@ -11,6 +11,7 @@
 use ipc_types::StereoRig;
 use ipc_types::bounds::Bounds;
 use ipc_types::noise::NoiseModel;
+use ipc_types::rounding::to_nearest;
 use serde::{Deserialize, Serialize};
 
 /// A vote of 1.
@@ -133,14 +134,6 @@ impl Weights {
 #[inline(always)]
 fn whole(weight: f32) -> i32 {
     to_nearest(weight.min(MOST) * VOTE) as i32
-}
-
-/// A number from 0 to 2²² rounded to the nearest integer. A cast would saturate, and does not vectorise.
-#[inline(always)]
-pub(crate) fn to_nearest(value: f32) -> u32 {
-    const SHIFT: f32 = 8_388_608.0;
-    // From 2²³ to 2²⁴ a float's steps are integers, and its lower bits count them.
-    (value + SHIFT).to_bits().wrapping_sub(SHIFT.to_bits())
 }
 
 #[cfg(test)]

@@ -2,11 +2,11 @@
 //!
 //! Every lane goes through the same operations in the same order, so that both ways agree to the bit.
 
-use crate::inference::to_nearest;
 use crate::view::MapModel;
 use crate::votes::flag;
 use ipc_types::disparity::SCALE;
 use ipc_types::messages::{NEVER_OCCUPIED, UNKNOWN_FRONT};
+use ipc_types::rounding::to_nearest;
 
 /// Nearer than this to the image plane nothing is asked, m.
 pub(crate) const NEAREST_M: f32 = 0.05;
@@ -41,9 +41,9 @@ impl<const N: usize> Transforms<N> {
     }
 }
 
-/// Where places are seen.
+/// Where places lie in images.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Seen<const N: usize> {
+pub(crate) struct Projected<const N: usize> {
     /// 1 where in view, else 0.
     pub(crate) inside: [u32; N],
     /// The cell; 0 out of view.
@@ -56,7 +56,7 @@ pub(crate) struct Seen<const N: usize> {
     pub(crate) gathered: [u64; N],
 }
 
-impl<const N: usize> Seen<N> {
+impl<const N: usize> Projected<N> {
     /// Projects places into keyframes.
     #[inline(always)]
     pub(crate) fn locate(model: &MapModel, transforms: &Transforms<N>, at: &Places<N>) -> Self {
@@ -133,4 +133,48 @@ impl<const N: usize> Seen<N> {
 #[inline(always)]
 pub(crate) fn whole([a, b, c, d]: [u16; 4]) -> u64 {
     u64::from(a) | u64::from(b) << 16 | u64::from(c) << 32 | u64::from(d) << 48
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ipc_types::messages::{ExpandedCells, Seen};
+    use rand::{RngExt, SeedableRng};
+
+    /// The same table as [`ExpandedCells::at`], whatever the cell holds.
+    #[test]
+    fn lanes_say_what_cells_say() {
+        const N: usize = 8;
+        let mut random = rand_pcg::Pcg64Mcg::seed_from_u64(1);
+        let mut met = std::collections::HashSet::new();
+        for _ in 0..100_000 {
+            // Few different values, so that equal ones meet.
+            let mut value = || match random.random_range(0..6) {
+                0 => UNKNOWN_FRONT,
+                1 => 0,
+                _ => random.random_range(0..12),
+            };
+            let nearest: [[u16; 4]; N] = std::array::from_fn(|_| std::array::from_fn(|_| value()));
+            let next: [[u16; 2]; N] = std::array::from_fn(|_| std::array::from_fn(|_| value()));
+            let d: [f32; N] = std::array::from_fn(|_| random.random_range(-4..28) as f32 * 0.5);
+            let projected =
+                Projected { inside: [1; N], cell: [0; N], d, inverse_depth_px: [1.0; N], gathered: nearest.map(whole) };
+            let (flags, past) = projected.classify();
+            for lane in 0..N {
+                let flag = if past[lane] == 0 { flags[lane] } else { projected.next(lane, next[lane]) };
+                let cells = ExpandedCells { nearest: &nearest[lane..=lane], next: &next[lane..=lane] };
+                let seen = cells.at(0, d[lane]);
+                let expected = match seen {
+                    Seen::Unmeasured => flag::UNMEASURED,
+                    Seen::Free => flag::FREE,
+                    Seen::FarBackground => flag::FAR_BACKGROUND,
+                    Seen::Occupied => flag::OCCUPIED,
+                    Seen::Occluded => flag::OCCLUDED,
+                };
+                assert_eq!(flag, expected, "{:?} {:?} at {}", nearest[lane], next[lane], d[lane]);
+                met.insert(expected);
+            }
+        }
+        assert_eq!(met.len(), 5);
+    }
 }

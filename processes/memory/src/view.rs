@@ -3,7 +3,7 @@
 use crate::evidence::FreeSpace;
 use crate::graph::GraphRule;
 use crate::inference::{Inference, VOTE, Weights};
-use crate::lanes::{Places, Seen, Transforms, whole};
+use crate::lanes::{Places, Projected, Transforms, whole};
 use crate::votes::{Votes, flag};
 use ipc_types::messages::{ExpandedLayout, Layers, UNKNOWN_FRONT};
 use ipc_types::noise::NoiseModel;
@@ -265,7 +265,7 @@ impl View {
     #[inline(always)]
     fn look(&self, group: &KeyGroup, [x, y, z]: [f32; 3]) -> ([i32; KEYS], [i32; KEYS]) {
         let places = Places { x: [x; KEYS], y: [y; KEYS], z: [z; KEYS] };
-        let mut seen = Seen::locate(&self.model, &group.transforms, &places);
+        let mut seen = Projected::locate(&self.model, &group.transforms, &places);
         let keys = &self.keys[group.first..][..group.count];
         for (lane, key) in keys.iter().enumerate() {
             seen.gathered[lane] = key.cell(seen.cell[lane]);
@@ -286,7 +286,7 @@ impl View {
     fn look_at<const N: usize>(&self, places: &Places<N>) -> Votes<N> {
         let (mut votes, layout) = (Votes::none(), self.model.layout);
         for key in &self.keys {
-            let mut seen = Seen::locate(&self.model, &Transforms::splat(&key.transform), places);
+            let mut seen = Projected::locate(&self.model, &Transforms::splat(&key.transform), places);
             if seen.is_nothing() {
                 continue;
             }
