@@ -95,6 +95,8 @@ struct FramesSummary {
 pub(crate) struct ReplaySummary {
     width_px: u32,
     height_px: u32,
+    /// By which expanded images are larger on every side.
+    margin_px: u32,
     frames: FramesSummary,
     valid_percent: f64,
     textureless_percent: f64,
@@ -184,6 +186,7 @@ pub(crate) fn summarise(
     ReplaySummary {
         width_px: rig.width_px,
         height_px: rig.height_px,
+        margin_px: layout.margin_px,
         frames,
         valid_percent: percent(count(|&pixel| is_valid(pixel)), rig.pixels()),
         textureless_percent: percent(count(|&pixel| pixel == ipc_types::disparity::TEXTURELESS), rig.pixels()),

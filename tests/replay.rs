@@ -78,9 +78,11 @@ fn score(data: &std::path::Path, name: &str, files: [&str; 4], calibration: &[&s
     assert!(error["bad_percent"][1].as_f64().expect("scored") < 6.0, "{error}");
     assert!(error["density_percent"].as_f64().expect("scored") > 70.0, "{error}");
     let side = |key: &str| summary[key].as_u64().and_then(|pixels| u32::try_from(pixels).ok()).expect("a size");
-    for product in ["disparity", "front", "back", "occupied"] {
+    let margin = 2 * side("margin_px");
+    for (product, larger) in [("disparity", 0), ("front", margin), ("back", margin), ("occupied", 0)] {
         let file = run.path(&format!("made-{product}.png"));
-        let image = stereo_ingest::load_disparity(&file, side("width_px"), side("height_px")).expect(product);
+        let (width, height) = (side("width_px") + larger, side("height_px") + larger);
+        let image = stereo_ingest::load_disparity(&file, width, height).expect(product);
         let found = image.iter().flatten().count();
         assert!(found > image.len() / 20, "{product}: {found} of {} pixels", image.len());
     }
