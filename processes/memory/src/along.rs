@@ -6,7 +6,7 @@
 
 use crate::lanes::NEAREST_M;
 use crate::view::{KeyView, Occupancy, View, threshold_votes, why};
-use crate::votes::{Votes, flag};
+use crate::votes::{Said, Votes, flag};
 use ipc_types::disparity::SCALE;
 use ipc_types::messages::{Layers, NEVER_OCCUPIED, UNKNOWN_FRONT};
 use ipc_types::{Point, Vector, World};
@@ -153,10 +153,12 @@ impl View {
                 _ => (flag::UNMEASURED, 0),
             };
             *background = flag == flag::FAR_BACKGROUND;
-            votes.cast(&[flag], &[weight], key.exposure_ms, self.forget_ms);
+            let said = Said { flags: [flag], weights: [weight], exposure_ms: key.exposure_ms };
+            votes.cast(&said, self.forget_ms);
         }
-        let has_parallax = votes.has_background(0) && self.lie_apart(&background);
-        let (sum, flags) = votes.count(0, has_parallax);
+        let tally = votes.tally();
+        let has_parallax = tally.has_background(0) && self.lie_apart(&background);
+        let (sum, flags) = tally.count(0, has_parallax);
         if sum >= threshold {
             Occupancy::Occupied
         } else if flags & flag::FREE != 0 || self.free_space.is_declared_between(a, b) {

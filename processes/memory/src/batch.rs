@@ -2,6 +2,7 @@
 
 use crate::lanes::Places;
 use crate::view::{Occupancy, View, ask_block, threshold_votes};
+use crate::votes::Said;
 use ipc_types::{Point, World};
 
 /// Points of a block.
@@ -49,6 +50,7 @@ impl View {
             return Err(LengthsDiffer { x: x_m.len(), y: y_m.len(), z: z_m.len(), answers: count });
         }
         let threshold = threshold_votes(threshold);
+        let mut said = vec![Said::NOTHING; self.keyframes()];
         for (block, answers) in answers.chunks_mut(BLOCK).enumerate() {
             let from = block * BLOCK;
             // What is missing in the last block is where the view is anchored, and not looked at.
@@ -58,11 +60,11 @@ impl View {
                 places.y[lane] = (y_m[from + lane] - self.anchor.y) as f32;
                 places.z[lane] = (z_m[from + lane] - self.anchor.z) as f32;
             }
-            let votes = ask_block(self, &places);
+            let tally = ask_block(self, &places, &mut said);
             for (lane, answer) in answers.iter_mut().enumerate() {
                 let place = [places.x[lane], places.y[lane], places.z[lane]];
-                let has_parallax = votes.has_background(lane) && self.background_has_parallax(place);
-                let (sum, flags) = votes.count(lane, has_parallax);
+                let has_parallax = tally.has_background(lane) && self.background_has_parallax(place);
+                let (sum, flags) = tally.count(lane, has_parallax);
                 let point = Point::<World>::new(x_m[from + lane], y_m[from + lane], z_m[from + lane]);
                 *answer = self.judge(point, sum, flags, threshold);
             }

@@ -4,7 +4,7 @@ use crate::evidence::FreeSpace;
 use crate::graph::GraphRule;
 use crate::inference::{Inference, VOTE, Weights};
 use crate::lanes::{Places, Projected, Transforms, whole};
-use crate::votes::{Votes, flag};
+use crate::votes::{Said, Tally, Votes, flag};
 use ipc_types::messages::{ExpandedLayout, Layers, UNKNOWN_FRONT};
 use ipc_types::noise::NoiseModel;
 use ipc_types::{Camera, FlightTime, Point, Pose, StereoRig, World};
@@ -223,9 +223,9 @@ impl View {
     fn tally(&self, point: Point<World>) -> (i32, i32) {
         let offset = point - self.anchor;
         let place = [offset.x as f32, offset.y as f32, offset.z as f32];
-        let votes = ask_one(self, place);
-        let has_parallax = votes.has_background(0) && self.background_has_parallax(place);
-        votes.count(0, has_parallax)
+        let tally = ask_one(self, place);
+        let has_parallax = tally.has_background(0) && self.background_has_parallax(place);
+        tally.count(0, has_parallax)
     }
 
     /// An answer from a score and what was said.
@@ -244,7 +244,7 @@ impl View {
     pub(crate) fn background_has_parallax(&self, place: [f32; 3]) -> bool {
         let mut flags = [0; GraphRule::MOST];
         for (group, flags) in self.groups.iter().zip(flags.chunks_exact_mut(KEYS)) {
-            flags.copy_from_slice(&self.look(group, place).0);
+            flags.copy_from_slice(&self.look(group, place).flags);
         }
         self.lie_apart(&flags.map(|flags| flags == flag::FAR_BACKGROUND))
     }
@@ -261,9 +261,9 @@ impl View {
         false
     }
 
-    /// What a group of keyframes says of one place, and how much that weighs.
+    /// What a group of keyframes says of one place, a lane each.
     #[inline(always)]
-    fn look(&self, group: &KeyGroup, [x, y, z]: [f32; 3]) -> ([i32; KEYS], [i32; KEYS]) {
+    fn look(&self, group: &KeyGroup, [x, y, z]: [f32; 3]) -> Said<KEYS> {
         let places = Places { x: [x; KEYS], y: [y; KEYS], z: [z; KEYS] };
         let mut seen = Projected::locate(&self.model, &group.transforms, &places);
         let keys = &self.keys[group.first..][..group.count];
@@ -278,13 +278,13 @@ impl View {
         }
         let mut weights = [0; KEYS];
         self.weights.fill(&seen.inverse_depth_px, &mut weights);
-        (flags, weights)
+        Said { flags, weights, exposure_ms: 0 }
     }
 
-    /// The votes of all keyframes on a block of places.
+    /// What the keyframes say of a block of places, those left out that see none of them. Returns how many say anything.
     #[inline(always)]
-    fn look_at<const N: usize>(&self, places: &Places<N>) -> Votes<N> {
-        let (mut votes, layout) = (Votes::none(), self.model.layout);
+    fn look_at<const N: usize>(&self, places: &Places<N>, said: &mut [Said<N>]) -> usize {
+        let (mut views, layout) = (0, self.model.layout);
         for key in &self.keys {
             let mut seen = Projected::locate(&self.model, &Transforms::splat(&key.transform), places);
             if seen.is_nothing() {
@@ -300,11 +300,12 @@ impl View {
                     flags[lane] = seen.next(lane, key.next_cell(layout, seen.cell[lane]));
                 }
             }
-            let mut weights = [0; N];
-            self.weights.fill(&seen.inverse_depth_px, &mut weights);
-            votes.cast(&flags, &weights, key.exposure_ms, self.forget_ms);
+            let said = &mut said[views];
+            (said.flags, said.exposure_ms) = (flags, key.exposure_ms);
+            self.weights.fill(&seen.inverse_depth_px, &mut said.weights);
+            views += 1;
         }
-        votes
+        views
     }
 }
 
@@ -315,17 +316,22 @@ impl View {
     "x86_64+sse4.1",
     "aarch64+neon"
 ))]
-fn ask_one(view: &View, place: [f32; 3]) -> Votes<1> {
-    let mut votes = Votes::none();
-    for group in &view.groups {
-        let (flags, weights) = view.look(group, place);
-        for (lane, key) in view.keys[group.first..].iter().enumerate().take(group.count) {
-            if flags[lane] != flag::OUT_OF_VIEW {
-                votes.cast(&[flags[lane]], &[weights[lane]], key.exposure_ms, view.forget_ms);
-            }
-        }
+fn ask_one(view: &View, place: [f32; 3]) -> Tally<1> {
+    let mut said = [Said::NOTHING; GraphRule::MOST / KEYS];
+    let said = &mut said[..view.groups.len()];
+    for (said, group) in said.iter_mut().zip(&view.groups) {
+        *said = view.look(group, place);
     }
-    votes
+    if !said.iter().any(Said::is_occupied_anywhere) {
+        return Tally::unopposed(said).across();
+    }
+    let mut votes = Votes::none();
+    for (key, lane) in view.keys.iter().zip(0..) {
+        let said = &said[lane / KEYS];
+        let (flags, weights) = ([said.flags[lane % KEYS]], [said.weights[lane % KEYS]]);
+        votes.cast(&Said { flags, weights, exposure_ms: key.exposure_ms }, view.forget_ms);
+    }
+    votes.tally()
 }
 
 /// The votes of all keyframes on a block of places.
@@ -335,8 +341,9 @@ fn ask_one(view: &View, place: [f32; 3]) -> Votes<1> {
     "x86_64+sse4.1",
     "aarch64+neon"
 ))]
-pub(crate) fn ask_block<const N: usize>(view: &View, places: &Places<N>) -> Votes<N> {
-    view.look_at(places)
+pub(crate) fn ask_block<const N: usize>(view: &View, places: &Places<N>, said: &mut [Said<N>]) -> Tally<N> {
+    let views = view.look_at(places, said);
+    Tally::of(&said[..views], view.forget_ms)
 }
 
 /// A threshold as a whole number of votes.

@@ -32,7 +32,117 @@ pub(crate) mod flag {
     pub(crate) const OCCUPIED: i32 = 16;
 }
 
-/// Votes on `N` places, one lane each.
+/// What a view says of `N` places, and how much that weighs: one lane each.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Said<const N: usize> {
+    pub(crate) flags: [i32; N],
+    pub(crate) weights: [i32; N],
+    /// Exposure before that of the newest view, ms.
+    pub(crate) exposure_ms: i32,
+}
+
+impl<const N: usize> Said<N> {
+    pub(crate) const NOTHING: Self = Self { flags: [flag::OUT_OF_VIEW; N], weights: [0; N], exposure_ms: 0 };
+
+    /// Whether any of the places is seen occupied.
+    #[inline(always)]
+    pub(crate) fn is_occupied_anywhere(&self) -> bool {
+        self.flags.iter().fold(0, |any, &flag| any | flag) & flag::OCCUPIED != 0
+    }
+}
+
+/// What all votes on `N` places come to.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Tally<const N: usize> {
+    occupied: [i32; N],
+    safe: [i32; N],
+    most_free: [i32; N],
+    background: [i32; N],
+    most_background: [i32; N],
+    /// Flags of all views that counted.
+    flags: [i32; N],
+    /// Views that see the place occupied.
+    witnesses: [i32; N],
+}
+
+impl<const N: usize> Tally<N> {
+    /// Of views given from the newest to the oldest.
+    #[inline(always)]
+    pub(crate) fn of(said: &[Said<N>], forget_ms: i32) -> Self {
+        if !said.iter().fold(false, |any, said| any | said.is_occupied_anywhere()) {
+            return Self::unopposed(said);
+        }
+        let mut votes = Votes::none();
+        for said in said {
+            votes.cast(said, forget_ms);
+        }
+        votes.tally()
+    }
+
+    /// Where no view sees any of the places occupied: nothing is superseded or overruled, the order does not matter.
+    #[inline(always)]
+    pub(crate) fn unopposed(said: &[Said<N>]) -> Self {
+        let none = [0; N];
+        let mut tally = Self {
+            occupied: none,
+            safe: none,
+            most_free: none,
+            background: none,
+            most_background: none,
+            flags: none,
+            witnesses: none,
+        };
+        for said in said {
+            for lane in 0..N {
+                let (flag, weight) = (said.flags[lane], said.weights[lane]);
+                let take = |which: i32| if flag & which != 0 { weight } else { 0 };
+                tally.safe[lane] += take(flag::FREE | flag::OCCLUDED);
+                tally.most_free[lane] = tally.most_free[lane].max(take(flag::FREE));
+                tally.background[lane] += take(flag::FAR_BACKGROUND);
+                tally.most_background[lane] = tally.most_background[lane].max(take(flag::FAR_BACKGROUND));
+                tally.flags[lane] |= flag;
+            }
+        }
+        tally
+    }
+
+    /// Of one place on which every lane is a vote of its own, as [`Self::unopposed`].
+    #[inline(always)]
+    pub(crate) fn across(&self) -> Tally<1> {
+        let sum = |votes: &[i32; N]| [votes.iter().sum()];
+        let most = |votes: &[i32; N]| [votes.iter().fold(0, |most, &vote| most.max(vote))];
+        Tally {
+            occupied: sum(&self.occupied),
+            safe: sum(&self.safe),
+            most_free: most(&self.most_free),
+            background: sum(&self.background),
+            most_background: most(&self.most_background),
+            flags: [self.flags.iter().fold(0, |all, &flag| all | flag)],
+            witnesses: sum(&self.witnesses),
+        }
+    }
+
+    /// Whether views of far background are among the votes, and none of those that count may be overruled: what is seen
+    /// occupied by anything newer is no background.
+    #[inline(always)]
+    pub(crate) fn has_background(&self, lane: usize) -> bool {
+        self.flags[lane] & flag::FAR_BACKGROUND != 0 && self.witnesses[lane] == 0
+    }
+
+    /// The score of a place, in whole numbers, and what was said of it. Far background counts as free if it `has_parallax`.
+    #[inline(always)]
+    pub(crate) fn count(&self, lane: usize, has_parallax: bool) -> (i32, i32) {
+        let (mut safe, mut most_free, mut flags) = (self.safe[lane], self.most_free[lane], self.flags[lane]);
+        if has_parallax {
+            safe += self.background[lane];
+            most_free = most_free.max(self.most_background[lane]);
+            flags |= flag::FREE;
+        }
+        (self.occupied[lane] - (safe / 2).min(most_free), flags)
+    }
+}
+
+/// Votes on `N` places, one lane each, while they are counted.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Votes<const N: usize> {
     occupied: [i32; N],
@@ -74,9 +184,10 @@ impl<const N: usize> Votes<N> {
         }
     }
 
-    /// Counts the votes of the next older view: what it says, and how much that weighs.
+    /// Counts the votes of the next older view.
     #[inline(always)]
-    pub(crate) fn cast(&mut self, flags: &[i32; N], weights: &[i32; N], exposure_ms: i32, forget_ms: i32) {
+    pub(crate) fn cast(&mut self, said: &Said<N>, forget_ms: i32) {
+        let Said { flags, weights, exposure_ms } = *said;
         for lane in 0..N {
             let (flag, weight) = (flags[lane], weights[lane]);
             let is = |which: i32| flag & which != 0;
@@ -118,23 +229,21 @@ impl<const N: usize> Votes<N> {
         }
     }
 
-    /// Whether views of far background are among the votes, and none of those that count may be overruled: what is seen
-    /// occupied by anything newer is no background.
+    /// What they come to.
     #[inline(always)]
-    pub(crate) fn has_background(&self, lane: usize) -> bool {
-        self.flags[lane] & flag::FAR_BACKGROUND != 0 && self.witnesses[lane] == 0
-    }
-
-    /// The score of a place, in whole numbers, and what was said of it. Far background counts as free if it `has_parallax`.
-    #[inline(always)]
-    pub(crate) fn count(&self, lane: usize, has_parallax: bool) -> (i32, i32) {
-        let (mut safe, mut most_free, mut flags) = (self.safe[lane], self.most_free[lane], self.flags[lane]);
-        if has_parallax {
-            safe += self.background[lane];
-            most_free = most_free.max(self.most_background[lane]);
-            flags |= flag::FREE;
+    pub(crate) fn tally(&self) -> Tally<N> {
+        let mut occupied = self.occupied;
+        for (occupied, most) in occupied.iter_mut().zip(self.most_occupied) {
+            *occupied = (*occupied).min(2 * most);
         }
-        let occupied = self.occupied[lane].min(2 * self.most_occupied[lane]);
-        (occupied - (safe / 2).min(most_free), flags)
+        Tally {
+            occupied,
+            safe: self.safe,
+            most_free: self.most_free,
+            background: self.background,
+            most_background: self.most_background,
+            flags: self.flags,
+            witnesses: self.witnesses,
+        }
     }
 }
