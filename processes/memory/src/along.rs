@@ -250,8 +250,8 @@ impl View {
 
     /// All that a cell says of the disparities from one to another ([`ipc_types::messages::ExpandedCells::at`]).
     fn said_by_cell(&self, key: &KeyView, cell: u32, [low, high]: [f32; 2]) -> i32 {
-        let parts = key.cell(cell);
-        let part = |number: u32| (parts >> (16 * number) & 0xffff) as u16;
+        let parts = key.cells()[cell as usize];
+        let part = |number: usize| parts[number];
         let (near, front, back) = (f32::from(part(0)), f32::from(part(1)), f32::from(part(2)));
         if part(1) == UNKNOWN_FRONT {
             return flag::UNMEASURED;

@@ -1,8 +1,7 @@
 //! Many points at once: blocks of them, whose coordinates lie apart (structure of arrays).
 
 use crate::lanes::Places;
-use crate::view::{Occupancy, View, ask_block, threshold_votes};
-use crate::votes::Said;
+use crate::view::{Looked, Occupancy, View, ask_block, threshold_votes};
 use ipc_types::{Point, World};
 
 /// Points of a block.
@@ -50,7 +49,7 @@ impl View {
             return Err(LengthsDiffer { x: x_m.len(), y: y_m.len(), z: z_m.len(), answers: count });
         }
         let threshold = threshold_votes(threshold);
-        let mut said = vec![Said::NOTHING; self.keyframes()];
+        let mut looked = Looked::room_for(self);
         for (block, answers) in answers.chunks_mut(BLOCK).enumerate() {
             let from = block * BLOCK;
             // What is missing in the last block is where the view is anchored, and not looked at.
@@ -60,7 +59,7 @@ impl View {
                 places.y[lane] = (y_m[from + lane] - self.anchor.y) as f32;
                 places.z[lane] = (z_m[from + lane] - self.anchor.z) as f32;
             }
-            let tally = ask_block(self, &places, &mut said);
+            let tally = ask_block(self, &places, &mut looked);
             for (lane, answer) in answers.iter_mut().enumerate() {
                 let place = [places.x[lane], places.y[lane], places.z[lane]];
                 let has_parallax = tally.has_background(lane) && self.background_has_parallax(place);

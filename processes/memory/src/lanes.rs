@@ -53,10 +53,13 @@ pub(crate) struct Projected<const N: usize> {
     /// f·b/z, px.
     pub(crate) inverse_depth_px: [f32; N],
     /// The first four layers of the cell, once gathered.
-    pub(crate) gathered: [u64; N],
+    pub(crate) gathered: [[u32; 2]; N],
 }
 
 impl<const N: usize> Projected<N> {
+    pub(crate) const NOTHING: Self =
+        Self { inside: [0; N], cell: [0; N], d: [0.0; N], inverse_depth_px: [0.0; N], gathered: [[0; 2]; N] };
+
     /// Projects places into keyframes.
     #[inline(always)]
     pub(crate) fn locate(model: &MapModel, transforms: &Transforms<N>, at: &Places<N>) -> Self {
@@ -67,7 +70,7 @@ impl<const N: usize> Projected<N> {
         let (end_u, end_v) = (layout.width_px as f32 - 0.5, layout.height_px as f32 - 0.5);
         let (wide, doffs) = (layout.width_px, rig.doffs_px as f32);
         let [xx, xy, xz, xa, yx, yy, yz, ya, zx, zy, zz, za] = &transforms.0;
-        let mut seen = Self { inside: [0; N], cell: [0; N], d: [0.0; N], inverse_depth_px: [0.0; N], gathered: [0; N] };
+        let mut seen = Self::NOTHING;
         for i in 0..N {
             let x = xx[i] * at.x[i] + xy[i] * at.y[i] + xz[i] * at.z[i] + xa[i];
             let y = yx[i] * at.x[i] + yy[i] * at.y[i] + yz[i] * at.z[i] + ya[i];
@@ -100,8 +103,9 @@ impl<const N: usize> Projected<N> {
         let (unknown, never) = (f32::from(UNKNOWN_FRONT), f32::from(NEVER_OCCUPIED));
         let (mut flags, mut past) = ([0; N], [0; N]);
         for i in 0..N {
-            let part = |number: u32| (self.gathered[i] >> (16 * number) & 0xffff) as u32 as f32;
-            let (d, near, front, back, gap) = (self.d[i], part(0), part(1), part(2), part(3));
+            let ([first, second], d) = (self.gathered[i], self.d[i]);
+            let (near, front) = ((first & 0xffff) as f32, (first >> 16) as f32);
+            let (back, gap) = ((second & 0xffff) as f32, (second >> 16) as f32);
             let is_before = d > front;
             let free = if back == never { flag::FAR_BACKGROUND } else { flag::FREE };
             let behind = if (d > back) & (back != never) { flag::OCCUPIED } else { flag::OCCLUDED };
@@ -129,10 +133,10 @@ impl<const N: usize> Projected<N> {
     }
 }
 
-/// A cell of four in one number.
+/// A cell of four as two numbers of two.
 #[inline(always)]
-pub(crate) fn whole([a, b, c, d]: [u16; 4]) -> u64 {
-    u64::from(a) | u64::from(b) << 16 | u64::from(c) << 32 | u64::from(d) << 48
+pub(crate) fn halves([a, b, c, d]: [u16; 4]) -> [u32; 2] {
+    [u32::from(a) | u32::from(b) << 16, u32::from(c) | u32::from(d) << 16]
 }
 
 #[cfg(test)]
@@ -157,8 +161,13 @@ mod tests {
             let nearest: [[u16; 4]; N] = std::array::from_fn(|_| std::array::from_fn(|_| value()));
             let next: [[u16; 2]; N] = std::array::from_fn(|_| std::array::from_fn(|_| value()));
             let d: [f32; N] = std::array::from_fn(|_| random.random_range(-4..28) as f32 * 0.5);
-            let projected =
-                Projected { inside: [1; N], cell: [0; N], d, inverse_depth_px: [1.0; N], gathered: nearest.map(whole) };
+            let projected = Projected {
+                inside: [1; N],
+                cell: [0; N],
+                d,
+                inverse_depth_px: [1.0; N],
+                gathered: nearest.map(halves),
+            };
             let (flags, past) = projected.classify();
             for lane in 0..N {
                 let flag = if past[lane] == 0 { flags[lane] } else { projected.next(lane, next[lane]) };

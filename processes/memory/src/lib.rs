@@ -16,6 +16,7 @@ mod inference;
 mod lanes;
 mod process;
 mod record;
+mod simd;
 mod view;
 mod votes;
 

@@ -3,7 +3,8 @@
 use crate::evidence::FreeSpace;
 use crate::graph::GraphRule;
 use crate::inference::{Inference, VOTE, Weights};
-use crate::lanes::{Places, Projected, Transforms, whole};
+use crate::lanes::{Places, Projected, Transforms, halves};
+use crate::simd::prefetch;
 use crate::votes::{Said, Tally, Votes, flag};
 use ipc_types::messages::{ExpandedLayout, Layers, UNKNOWN_FRONT};
 use ipc_types::noise::NoiseModel;
@@ -85,11 +86,10 @@ impl KeyView {
         })
     }
 
-    /// The first four layers of a cell: of none if there is no such cell, which vouches for nothing.
+    /// The first four layers of its cells; with four layers there are more than those.
     #[inline(always)]
-    pub(crate) fn cell(&self, cell: u32) -> u64 {
-        let from = self.image.get(4 * cell as usize..);
-        from.and_then(|cells| cells.first_chunk()).map_or(0, |&cell| whole(cell))
+    pub(crate) fn cells(&self) -> &[[u16; 4]] {
+        self.image.as_chunks().0
     }
 
     /// The next two.
@@ -109,6 +109,20 @@ struct KeyGroup {
     first: usize,
     count: usize,
     transforms: Transforms<KEYS>,
+}
+
+/// Of a block of places, for every keyframe: where they lie, and what is said of them.
+#[derive(Clone, Debug)]
+pub(crate) struct Looked<const N: usize> {
+    seen: Vec<Projected<N>>,
+    said: Vec<Said<N>>,
+}
+
+impl<const N: usize> Looked<N> {
+    pub(crate) fn room_for(view: &View) -> Self {
+        let keyframes = view.keyframes();
+        Self { seen: vec![Projected::NOTHING; keyframes], said: vec![Said::NOTHING; keyframes] }
+    }
 }
 
 /// Keyframes and evidence, to be asked about points.
@@ -268,7 +282,7 @@ impl View {
         let mut seen = Projected::locate(&self.model, &group.transforms, &places);
         let keys = &self.keys[group.first..][..group.count];
         for (lane, key) in keys.iter().enumerate() {
-            seen.gathered[lane] = key.cell(seen.cell[lane]);
+            seen.gathered[lane] = halves(key.cells()[seen.cell[lane] as usize]);
         }
         let (mut flags, past) = seen.classify();
         if self.model.layout.layers == Layers::Four {
@@ -283,16 +297,21 @@ impl View {
 
     /// What the keyframes say of a block of places, those left out that see none of them. Returns how many say anything.
     #[inline(always)]
-    fn look_at<const N: usize>(&self, places: &Places<N>, said: &mut [Said<N>]) -> usize {
+    fn look_at<const N: usize>(&self, places: &Places<N>, Looked { seen, said }: &mut Looked<N>) -> usize {
         let (mut views, layout) = (0, self.model.layout);
-        for key in &self.keys {
-            let mut seen = Projected::locate(&self.model, &Transforms::splat(&key.transform), places);
+        // All places are found before any is looked at, so that the waiting for one keyframe's cells is the others'.
+        for (key, seen) in self.keys.iter().zip(&mut *seen) {
+            *seen = Projected::locate(&self.model, &Transforms::splat(&key.transform), places);
+            let cells = key.cells();
+            seen.cell.iter().for_each(|&cell| prefetch(cells, cell));
+        }
+        for (key, seen) in self.keys.iter().zip(seen) {
             if seen.is_nothing() {
                 continue;
             }
-            let cells = key.image.as_chunks::<4>().0;
-            for lane in 0..N {
-                seen.gathered[lane] = whole(cells[seen.cell[lane] as usize]);
+            let cells = key.cells();
+            for (gathered, &cell) in seen.gathered.iter_mut().zip(&seen.cell) {
+                *gathered = halves(cells[cell as usize]);
             }
             let (mut flags, past) = seen.classify();
             if layout.layers == Layers::Four {
@@ -341,9 +360,9 @@ fn ask_one(view: &View, place: [f32; 3]) -> Tally<1> {
     "x86_64+sse4.1",
     "aarch64+neon"
 ))]
-pub(crate) fn ask_block<const N: usize>(view: &View, places: &Places<N>, said: &mut [Said<N>]) -> Tally<N> {
-    let views = view.look_at(places, said);
-    Tally::of(&said[..views], view.forget_ms)
+pub(crate) fn ask_block<const N: usize>(view: &View, places: &Places<N>, looked: &mut Looked<N>) -> Tally<N> {
+    let views = view.look_at(places, looked);
+    Tally::of(&looked.said[..views], view.forget_ms)
 }
 
 /// A threshold as a whole number of votes.
