@@ -8,7 +8,10 @@ use crate::inflate::Spread;
 /// Scratch for rows of one length.
 #[derive(Debug)]
 pub(crate) struct RangeMax {
-    levels: Vec<u16>,
+    /// Cells that updates begin with, and those that they end with: apart, so that an update seldom waits for the one
+    /// before it.
+    begins: Vec<u16>,
+    ends: Vec<u16>,
     length: usize,
 }
 
@@ -17,40 +20,39 @@ impl Spread for RangeMax {
 
     fn new(length: usize) -> Self {
         let count = length.max(1).ilog2() as usize + 1;
-        Self { levels: vec![0; count * length], length }
+        Self { begins: vec![0; count * length], ends: vec![0; count * length], length }
     }
 
     #[inline(always)]
     fn raise(&mut self, first: usize, last: usize, value: u16) {
         let level = (last + 1 - first).ilog2() as usize;
-        let row = &mut self.levels[level * self.length..(level + 1) * self.length];
-        row[first] = row[first].max(value);
-        let second = last + 1 - (1 << level);
-        row[second] = row[second].max(value);
+        let row = level * self.length;
+        let raise = |cell: &mut u16| *cell = std::hint::select_unpredictable(value > *cell, value, *cell);
+        raise(&mut self.begins[row + first]);
+        raise(&mut self.ends[row + last + 1 - (1 << level)]);
     }
 
     #[inline(always)]
     fn finish(&mut self, out: &mut [u16]) {
-        let length = self.length;
-        for level in (1..self.levels.len() / length).rev() {
-            let (below, this) = self.levels.split_at_mut(level * length);
-            let below = &mut below[(level - 1) * length..];
-            let this = &mut this[..length];
-            push_down(below, this, 1 << (level - 1));
-            this.fill(0);
+        let Self { begins, ends, length } = self;
+        raise_all(begins, ends);
+        for level in (1..begins.len() / *length).rev() {
+            let (below, this) = begins.split_at_mut(level * *length);
+            let below = &mut below[(level - 1) * *length..];
+            let this = &this[..*length];
+            // Every cell covers two of the level below: its own, and the one half of its length further on.
+            raise_all(below, this);
+            raise_all(&mut below[1 << (level - 1)..], this);
         }
-        out.copy_from_slice(&self.levels[..length]);
-        self.levels[..length].fill(0);
+        out.copy_from_slice(&begins[..*length]);
+        begins.fill(0);
+        ends.fill(0);
     }
 }
 
-/// Every cell of `this` covers two cells of `below`: its own, and the one `half` further on.
 #[inline(always)]
-fn push_down(below: &mut [u16], this: &[u16], half: usize) {
-    for (cell, &value) in below.iter_mut().zip(this) {
-        *cell = (*cell).max(value);
-    }
-    for (cell, &value) in below[half..].iter_mut().zip(this) {
+fn raise_all(cells: &mut [u16], to: &[u16]) {
+    for (cell, &value) in cells.iter_mut().zip(to) {
         *cell = (*cell).max(value);
     }
 }
