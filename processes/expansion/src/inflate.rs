@@ -3,6 +3,7 @@
 //! Rows work on what the columns left. For the nearest value that loses nothing: a larger value's window contains a
 //! smaller one's. Lines do not depend on each other, so neither do results on the number of threads.
 
+use crate::range_max::Cells;
 use crate::tables::Radii;
 use crate::transpose::transpose;
 use crate::window::{Axis, Windows};
@@ -14,8 +15,8 @@ pub(crate) trait Spread: Send + Sync + std::fmt::Debug {
     const VALUES: usize;
     /// For lines of a length.
     fn new(length: usize) -> Self;
-    /// Spreads a value over the places from first to last, which must lie in the line.
-    fn raise(&mut self, first: usize, last: usize, value: u16);
+    /// Spreads a value over the range of the line that two cells cover; 0 changes nothing.
+    fn raise(&mut self, cells: Cells, value: u16);
     /// Writes what was gathered, zero where nothing was, and begins anew. `out` is as many lines as values are kept.
     fn finish(&mut self, out: &mut [u16]);
 }
@@ -127,11 +128,14 @@ fn spread_line<S: Spread, R: Radii>(
         // Apart from the updates, so that the tangents vectorise.
         radii.over_depths(values, radius_over_depth);
         axis.windows(radius_over_depth, windows);
+        windows.to_cells(axis.expanded_px());
         // What is the same as before has been spread already.
         let before = number.checked_sub(1).map(|before| sources[before]);
-        for (place, &value) in values.iter().enumerate() {
-            if value != 0 && before.is_none_or(|before| before[place] != value) {
-                spread.raise(windows.first[place] as usize, windows.last[place] as usize, value);
+        let (begins, ends) = (&windows.first[..values.len()], &windows.last[..values.len()]);
+        for place in 0..values.len() {
+            let value = values[place];
+            if before.is_none_or(|before| before[place] != value) {
+                spread.raise(Cells { begin: begins[place], end: ends[place] }, value);
             }
         }
     }

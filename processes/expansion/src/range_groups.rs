@@ -6,6 +6,7 @@
 
 use crate::bins::bin;
 use crate::inflate::Spread;
+use crate::range_max::Cells;
 
 type Triple = [u16; 3];
 
@@ -57,10 +58,9 @@ impl Spread for RangeGroups {
     }
 
     #[inline(always)]
-    fn raise(&mut self, first: usize, last: usize, value: u16) {
-        let level = (last + 1 - first).ilog2() as usize;
-        self.raise_cell(level * self.length + first, value);
-        self.raise_cell(level * self.length + last + 1 - (1 << level), value);
+    fn raise(&mut self, cells: Cells, value: u16) {
+        self.raise_cell(cells.begin as usize, value);
+        self.raise_cell(cells.end as usize, value);
     }
 
     #[inline(always)]
@@ -131,7 +131,7 @@ mod tests {
                     let first = random.random_range(0..length);
                     let last = random.random_range(first..length);
                     let value = random.random_range(1_u16..9) << 10 | random.random_range(0..1024);
-                    rows.raise(first, last, value);
+                    rows.raise(Cells::of(first as u32, last as u32, length as u32), value);
                     covering[first..=last].iter_mut().for_each(|values| values.push(value));
                 }
                 let mut out = vec![7; 3 * length];

@@ -5,6 +5,23 @@
 
 use crate::inflate::Spread;
 
+/// The two cells that cover a range: of the level whose cells are the longest that fit, from its beginning and to its end.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Cells {
+    pub(crate) begin: u32,
+    pub(crate) end: u32,
+}
+
+impl Cells {
+    /// Of the range from first to last, in a table whose levels lie one after the other, each as long as the row.
+    #[inline(always)]
+    pub(crate) fn of(first: u32, last: u32, length: u32) -> Self {
+        // The exponent of a float is the logarithm, rounded down; unlike `ilog2` this vectorises everywhere.
+        let level = (((last + 1 - first) as f32).to_bits() >> 23) - 127;
+        Self { begin: level * length + first, end: level * length + last + 1 - (1 << level) }
+    }
+}
+
 /// Scratch for rows of one length.
 #[derive(Debug)]
 pub(crate) struct RangeMax {
@@ -24,12 +41,10 @@ impl Spread for RangeMax {
     }
 
     #[inline(always)]
-    fn raise(&mut self, first: usize, last: usize, value: u16) {
-        let level = (last + 1 - first).ilog2() as usize;
-        let row = level * self.length;
+    fn raise(&mut self, cells: Cells, value: u16) {
         let raise = |cell: &mut u16| *cell = std::hint::select_unpredictable(value > *cell, value, *cell);
-        raise(&mut self.begins[row + first]);
-        raise(&mut self.ends[row + last + 1 - (1 << level)]);
+        raise(&mut self.begins[cells.begin as usize]);
+        raise(&mut self.ends[cells.end as usize]);
     }
 
     #[inline(always)]
@@ -73,7 +88,7 @@ mod tests {
                     let first = random.random_range(0..length);
                     let last = random.random_range(first..length);
                     let value = random.random_range(0..=u16::MAX);
-                    rows.raise(first, last, value);
+                    rows.raise(Cells::of(first as u32, last as u32, length as u32), value);
                     expected[first..=last].iter_mut().for_each(|cell| *cell = value.max(*cell));
                 }
                 let mut out = vec![7; length];

@@ -7,6 +7,7 @@
 //!
 //! An ellipsoid that is flatter or taller than wide is a sphere once that axis has been stretched.
 
+use crate::range_max::Cells;
 use ipc_types::rounding::to_nearest;
 
 /// One side of every pixel: its slope, c = √(1 + slope²), and 1/2c.
@@ -28,6 +29,15 @@ impl Windows {
     /// For lines of a length.
     pub(crate) fn new(length: usize) -> Self {
         Self { first: vec![0; length], last: vec![0; length] }
+    }
+
+    /// First and last places become the cells of a sparse table ([`Cells`]).
+    #[inline(always)]
+    pub(crate) fn to_cells(&mut self, length: usize) {
+        for (first, last) in self.first.iter_mut().zip(&mut self.last) {
+            let cells = Cells::of(*first, *last, length as u32);
+            (*first, *last) = (cells.begin, cells.end);
+        }
     }
 }
 
