@@ -128,7 +128,7 @@ fn spread_line<S: Spread, R: Radii>(
         // Apart from the updates, so that the tangents vectorise.
         radii.over_depths(values, radius_over_depth);
         axis.windows(radius_over_depth, windows);
-        windows.to_cells(axis.expanded_px());
+        windows.find_cells(axis.expanded_px());
         // What is the same as before has been spread already.
         let before = number.checked_sub(1).map(|before| sources[before]);
         let (begins, ends) = (&windows.first[..values.len()], &windows.last[..values.len()]);

@@ -7,6 +7,7 @@
 use crate::bins::bin;
 use crate::inflate::Spread;
 use crate::range_max::Cells;
+use std::hint::select_unpredictable as pick;
 
 type Triple = [u16; 3];
 
@@ -17,10 +18,15 @@ type Block = [u16; BLOCK];
 /// Scratch for rows of one length.
 #[derive(Debug)]
 pub(crate) struct RangeGroups {
-    /// First, second and third values.
-    levels: [Vec<u16>; 3],
+    /// Triples, which lie together while single values are put into them, and apart when all are merged at last.
+    levels: Vec<[u16; 4]>,
+    above: Planes,
+    below: Planes,
     length: usize,
 }
+
+/// First, second and third values.
+type Planes = [Vec<u16>; 3];
 
 /// What both hold together.
 #[inline(always)]
@@ -35,18 +41,24 @@ pub(crate) fn merge(a: Triple, b: Triple) -> Triple {
     [first, second.max(behind), third.max(last)]
 }
 
-impl RangeGroups {
-    /// Merges a single value into a cell.
-    #[inline(always)]
-    fn raise_cell(&mut self, cell: usize, value: u16) {
-        let [first, second, third] = &mut self.levels;
-        let (first, second, third) = (&mut first[cell], &mut second[cell], &mut third[cell]);
-        // Most values change nothing.
-        if value <= *third {
-            return;
-        }
-        [*first, *second, *third] = merge([*first, *second, *third], [value, 0, 0]);
-    }
+/// What a cell holds together with a single value: as [`merge`], in half as many steps, and without a branch.
+#[inline(always)]
+fn put(cell: &mut [u16; 4], value: u16) {
+    let [first, second, third, _] = *cell;
+    let (bins, bins_of_value) = (bin(first), bin(value));
+    let is_same = bins == bins_of_value;
+    // What the value leaves behind where it is the nearest; else what it is behind of.
+    let is_next = bins + 1 == bins_of_value;
+    let wins = [value, pick(is_same, second, first), pick(is_same, third, pick(is_next, second, first))];
+    let is_far = bins > bins_of_value + 1;
+    let loses = [first, pick(is_same, second, second.max(value)), pick(is_far, third.max(value), third)];
+    let is_nearest = value > first;
+    *cell = [
+        pick(is_nearest, wins[0], loses[0]),
+        pick(is_nearest, wins[1], loses[1]),
+        pick(is_nearest, wins[2], loses[2]),
+        0,
+    ];
 }
 
 impl Spread for RangeGroups {
@@ -54,37 +66,47 @@ impl Spread for RangeGroups {
 
     fn new(length: usize) -> Self {
         let count = length.max(1).ilog2() as usize + 1;
-        Self { levels: [0; 3].map(|_| vec![0; count * length]), length }
+        let planes = || [0; 3].map(|_| vec![0; length]);
+        Self { levels: vec![[0; 4]; count * length], above: planes(), below: planes(), length }
     }
 
     #[inline(always)]
     fn raise(&mut self, cells: Cells, value: u16) {
-        self.raise_cell(cells.begin as usize, value);
-        self.raise_cell(cells.end as usize, value);
+        if value != 0 {
+            put(&mut self.levels[cells.begin as usize], value);
+            put(&mut self.levels[cells.end as usize], value);
+        }
     }
 
     #[inline(always)]
     fn finish(&mut self, out: &mut [u16]) {
-        let length = self.length;
-        for level in (1..self.levels[0].len() / length).rev() {
-            let [first, second, third] = &mut self.levels;
-            let (first_below, first) = first[(level - 1) * length..(level + 1) * length].split_at_mut(length);
-            let (second_below, second) = second[(level - 1) * length..(level + 1) * length].split_at_mut(length);
-            let (third_below, third) = third[(level - 1) * length..(level + 1) * length].split_at_mut(length);
-            let half = 1 << (level - 1);
-            merge_into([&mut *first_below, &mut *second_below, &mut *third_below], [first, second, third]);
-            merge_into(
-                [&mut first_below[half..], &mut second_below[half..], &mut third_below[half..]],
-                [first, second, third],
-            );
-            first.fill(0);
-            second.fill(0);
-            third.fill(0);
+        let Self { levels, above, below, length } = self;
+        let mut rows = levels.chunks_exact(*length).enumerate().rev();
+        if let Some((_, top)) = rows.next() {
+            take_apart(top, above);
         }
-        for (out, level) in out.chunks_exact_mut(length).zip(&mut self.levels) {
-            out.copy_from_slice(&level[..length]);
-            level[..length].fill(0);
+        for (level, row) in rows {
+            take_apart(row, below);
+            let [first, second, third] = below;
+            let above_planes = [&above[0][..], &above[1][..], &above[2][..]];
+            merge_into([&mut *first, &mut *second, &mut *third], above_planes);
+            let half = 1 << level;
+            merge_into([&mut first[half..], &mut second[half..], &mut third[half..]], above_planes);
+            std::mem::swap(above, below);
         }
+        for (out, plane) in out.chunks_exact_mut(*length).zip(above) {
+            out.copy_from_slice(plane);
+        }
+        levels.fill([0; 4]);
+    }
+}
+
+/// Triples to planes.
+#[inline(always)]
+fn take_apart(row: &[[u16; 4]], [first, second, third]: &mut Planes) {
+    let planes = first.iter_mut().zip(second).zip(third);
+    for (&[a, b, c, _], ((first, second), third)) in row.iter().zip(planes) {
+        (*first, *second, *third) = (a, b, c);
     }
 }
 

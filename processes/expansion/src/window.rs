@@ -31,9 +31,9 @@ impl Windows {
         Self { first: vec![0; length], last: vec![0; length] }
     }
 
-    /// First and last places become the cells of a sparse table ([`Cells`]).
+    /// Turns first and last places into the cells of a sparse table ([`Cells`]).
     #[inline(always)]
-    pub(crate) fn to_cells(&mut self, length: usize) {
+    pub(crate) fn find_cells(&mut self, length: usize) {
         for (first, last) in self.first.iter_mut().zip(&mut self.last) {
             let cells = Cells::of(*first, *last, length as u32);
             (*first, *last) = (cells.begin, cells.end);
