@@ -11,7 +11,7 @@ wire! {
         stamp: Stamp,
         /// Expanded images dropped because no pose was known for their exposure.
         without_pose: u64,
-        /// Those dropped because they were not newer than the one before.
+        /// Those dropped because they were not newer than the one before, or from the future; and such states.
         late: u64,
         /// Those dropped because they are of another rig, margin, radius or number of layers.
         misfits: u64,

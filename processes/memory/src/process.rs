@@ -22,7 +22,7 @@ const LONGEST_S: f64 = 0.5;
 const TURN_RAD: f64 = 0.5;
 /// Corrections that add up to this make the path flown another, m.
 const CORRECTION_M: f64 = 0.05;
-/// No keyframe is so much newer than the newest state, s.
+/// Nothing is so much newer than the flight's time or, of a predecessor's keyframes, than the newest state, s.
 const AHEAD_S: f64 = 1.0;
 /// Spacing of the flown path, m.
 const PATH_SPACING_M: f64 = 0.25;
@@ -77,6 +77,11 @@ struct Lost {
     misfits: u64,
     not_stored: u64,
     jumps: u64,
+}
+
+/// Whether an instant is in the future: what came after it would be late. Before the flight's time is heard it is zero.
+fn is_ahead(at: FlightTime, now: FlightTime) -> bool {
+    now > FlightTime::ZERO && at.seconds_since(now) > AHEAD_S
 }
 
 impl MemoryProcess {
@@ -139,6 +144,11 @@ impl MemoryProcess {
                 continue;
             };
             let (at, here) = (FlightTime::from_nanos(state.stamp.valid_ns), pose.origin());
+            if is_ahead(at, ports.now()) {
+                self.lost.late += 1;
+                self.report.refuse("a state claims to come from the future");
+                continue;
+            }
             match self.state {
                 // The first state after a restart is the newest, whatever the record says.
                 Some((last, _)) if at <= last && !self.states.is_empty() => self.correct(at, pose, &mut news),
@@ -219,6 +229,11 @@ impl MemoryProcess {
         let exposure = FlightTime::from_nanos(header.stamp.valid_ns);
         // Exposures are unique within a run and, unlike sequence numbers, across restarts.
         let id = header.stamp.valid_ns as u64;
+        if is_ahead(exposure, ports.now()) {
+            self.lost.late += 1;
+            self.report.refuse("an expanded image claims to come from the future");
+            return;
+        }
         let newest = self.pending.map(|(_, exposure)| exposure).max(self.graph.newest().map(|node| node.exposure));
         if newest.is_some_and(|newest| exposure <= newest) || header.stamp.valid_ns < 0 {
             self.lost.late += 1;

@@ -29,6 +29,7 @@ impl<T: Topic> Message<T> for Sent<T> {
 
 /// Queues of messages, in and out.
 struct Queues {
+    now: FlightTime,
     arriving: HashMap<&'static str, VecDeque<Box<dyn Any>>>,
     sent: HashMap<&'static str, Vec<Box<dyn Any>>>,
     images: ImageStore,
@@ -44,7 +45,7 @@ impl Ports for Queues {
     type Message<T: Topic> = Sent<T>;
 
     fn now(&self) -> FlightTime {
-        FlightTime::from_nanos(0)
+        self.now
     }
     fn receive<T: Topic>(&mut self) -> Option<Sent<T>> {
         self.arriving.get_mut(T::INFO.name)?.pop_front()?.downcast().ok().map(|sent| *sent)
@@ -84,7 +85,7 @@ impl Bench {
             forget_s: 1.0,
         };
         let mount = CameraMount { position_m: [0.0; 3], pitch_up_deg: 0.0 };
-        let queues = Queues { arriving: HashMap::new(), sent: HashMap::new(), images };
+        let queues = Queues { now: FlightTime::ZERO, arriving: HashMap::new(), sent: HashMap::new(), images };
         Self { process: MemoryProcess::new(LAYOUT, RADIUS_M, mount, config), queues }
     }
 
@@ -156,6 +157,11 @@ fn what_is_wrong_is_counted_and_leaves_the_graph_as_it_was() {
     refused(&mut bench, "a frame twice");
     bench.image(250);
     refused(&mut bench, "a frame out of order");
+    bench.queues.now = FlightTime::from_nanos(450_000_000);
+    bench.image(3_600_000);
+    refused(&mut bench, "a frame from the future");
+    bench.state(3_600_000, [2.4, 0.0, 2.0]);
+    refused(&mut bench, "a state from the future");
     bench.image(-40);
     refused(&mut bench, "a time before the flight");
     bench.image_of(600, ExpandedLayout::new(&RIG, 4, Layers::Two), RADIUS_M, LAYOUT.elements());
@@ -169,7 +175,7 @@ fn what_is_wrong_is_counted_and_leaves_the_graph_as_it_was() {
     // All is well again, and the reasons are told apart.
     bench.frame(700, [3.6, 0.0, 2.0]);
     let (set, now, _) = bench.last();
-    assert_eq!((set.late, set.misfits, set.jumps, set.without_pose), (3, 4, 0, 0));
+    assert_eq!((set.late, set.misfits, set.jumps, set.without_pose), (5, 4, 0, 0));
     assert!(keyframes.iter().filter(|key| now.iter().any(|other| other.image_id == key.image_id)).count() >= 3);
 }
 
