@@ -131,7 +131,7 @@ fn spread_line<S: Spread, R: Radii>(
         windows.find_cells(axis.expanded_px());
         // What is the same as before has been spread already.
         let before = number.checked_sub(1).map(|before| sources[before]);
-        let (begins, ends) = (&windows.first[..values.len()], &windows.last[..values.len()]);
+        let (begins, ends) = (&windows.begins[..values.len()], &windows.ends[..values.len()]);
         for place in 0..values.len() {
             let value = values[place];
             if before.is_none_or(|before| before[place] != value) {

@@ -18,7 +18,7 @@ type Block = [u16; BLOCK];
 /// Scratch for rows of one length.
 #[derive(Debug)]
 pub(crate) struct RangeGroups {
-    /// Triples, which lie together while single values are put into them, and apart when all are merged at last.
+    /// Triples, and nothing, which lie together while single values are put into them, and apart when all are merged at last.
     levels: Vec<[u16; 4]>,
     above: Planes,
     below: Planes,
@@ -47,8 +47,8 @@ fn put(cell: &mut [u16; 4], value: u16) {
     let [first, second, third, _] = *cell;
     let (bins, bins_of_value) = (bin(first), bin(value));
     let is_same = bins == bins_of_value;
-    // What the value leaves behind where it is the nearest; else what it is behind of.
     let is_next = bins + 1 == bins_of_value;
+    // If the value is the nearest, the cell's are behind it; else it may be behind theirs.
     let wins = [value, pick(is_same, second, first), pick(is_same, third, pick(is_next, second, first))];
     let is_far = bins > bins_of_value + 1;
     let loses = [first, pick(is_same, second, second.max(value)), pick(is_far, third.max(value), third)];
@@ -141,6 +141,23 @@ fn merge_block([a1, a2, a3]: [&mut Block; 3], [b1, b2, b3]: [&Block; 3]) {
 mod tests {
     use super::*;
     use rand::{RngExt, SeedableRng};
+
+    #[test]
+    fn putting_a_value_is_merging_it() {
+        let mut random = rand_pcg::Pcg64Mcg::seed_from_u64(3);
+        // Values of a few neighbouring bins up to the last, equal ones and none among them.
+        let mut value = || match random.random_range(0..5) {
+            0 => 0,
+            1 => u16::MAX,
+            _ => random.random_range(58_u16..64) << 10 | random.random_range(0..3),
+        };
+        for _ in 0..200_000 {
+            let (triple, value) = ([value(), value(), value()], value());
+            let mut cell = [triple[0], triple[1], triple[2], 0];
+            put(&mut cell, value);
+            assert_eq!(cell[..3], merge(triple, [value, 0, 0]), "{triple:?} {value}");
+        }
+    }
 
     #[test]
     fn keeps_the_nearest_and_what_lies_one_and_two_bins_behind() {

@@ -78,6 +78,16 @@ mod tests {
     use rand::{RngExt, SeedableRng};
 
     #[test]
+    fn cells_are_the_longest_that_fit() {
+        for length in 1..=5000_u32 {
+            let cells = Cells::of(3, 2 + length, 6000);
+            let level = length.ilog2();
+            let [begin, end] = [cells.begin, cells.end].map(|cell| (cell / 6000, cell % 6000));
+            assert_eq!((begin, end), ((level, 3), (level, 3 + length - (1 << level))), "{length}");
+        }
+    }
+
+    #[test]
     fn equals_the_naive_loop() {
         let mut random = rand_pcg::Pcg64Mcg::seed_from_u64(1);
         for length in [1_usize, 2, 3, 17, 320] {

@@ -18,25 +18,29 @@ struct Side {
     half_per_c: Vec<f32>,
 }
 
-/// First and last place of the window of every pixel of a line.
+/// Of every pixel of a line, the first and last place of its window, and the cells of a sparse table that cover it.
 #[derive(Debug)]
 pub(crate) struct Windows {
-    pub(crate) first: Vec<u32>,
-    pub(crate) last: Vec<u32>,
+    first: Vec<u32>,
+    last: Vec<u32>,
+    pub(crate) begins: Vec<u32>,
+    pub(crate) ends: Vec<u32>,
 }
 
 impl Windows {
     /// For lines of a length.
     pub(crate) fn new(length: usize) -> Self {
-        Self { first: vec![0; length], last: vec![0; length] }
+        let line = || vec![0; length];
+        Self { first: line(), last: line(), begins: line(), ends: line() }
     }
 
-    /// Turns first and last places into the cells of a sparse table ([`Cells`]).
+    /// Finds the cells ([`Cells`]) of the windows, in a table for lines of a length.
     #[inline(always)]
     pub(crate) fn find_cells(&mut self, length: usize) {
-        for (first, last) in self.first.iter_mut().zip(&mut self.last) {
-            let cells = Cells::of(*first, *last, length as u32);
-            (*first, *last) = (cells.begin, cells.end);
+        let cells = self.begins.iter_mut().zip(&mut self.ends);
+        for ((&first, &last), (begin, end)) in self.first.iter().zip(&self.last).zip(cells) {
+            let cells = Cells::of(first, last, length as u32);
+            (*begin, *end) = (cells.begin, cells.end);
         }
     }
 }

@@ -10,6 +10,7 @@ use ipc_types::messages::{ExpandedLayout, Keyframe, PathPoint};
 use ipc_types::pose_history::{PoseAt, PoseHistory};
 use ipc_types::rig::CameraMount;
 use ipc_types::topics::{Expanded, Keyframes, Path, State};
+use ipc_types::wire::Stamp;
 use ipc_types::{Body, FlightTime, Point, Pose, ProcessId, World};
 use runtime::{Connect, Message, Ports, Process, Report};
 
@@ -22,7 +23,7 @@ const LONGEST_S: f64 = 0.5;
 const TURN_RAD: f64 = 0.5;
 /// Corrections that add up to this make the path flown another, m.
 const CORRECTION_M: f64 = 0.05;
-/// Nothing is so much newer than the flight's time or, of a predecessor's keyframes, than the newest state, s.
+/// Nothing is so much newer than its publication or, of a predecessor's keyframes, than the newest state, s.
 const AHEAD_S: f64 = 1.0;
 /// Spacing of the flown path, m.
 const PATH_SPACING_M: f64 = 0.25;
@@ -79,9 +80,10 @@ struct Lost {
     jumps: u64,
 }
 
-/// Whether an instant is in the future: what came after it would be late. Before the flight's time is heard it is zero.
-fn is_ahead(at: FlightTime, now: FlightTime) -> bool {
-    now > FlightTime::ZERO && at.seconds_since(now) > AHEAD_S
+/// Whether a message claims to be of the future: all that comes after it would be late. By its publisher's clock, for this
+/// process may have been stopped.
+fn is_of_the_future(stamp: &Stamp) -> bool {
+    FlightTime::from_nanos(stamp.valid_ns).seconds_since(FlightTime::from_nanos(stamp.published_ns)) > AHEAD_S
 }
 
 impl MemoryProcess {
@@ -144,7 +146,7 @@ impl MemoryProcess {
                 continue;
             };
             let (at, here) = (FlightTime::from_nanos(state.stamp.valid_ns), pose.origin());
-            if is_ahead(at, ports.now()) {
+            if is_of_the_future(&state.stamp) {
                 self.lost.late += 1;
                 self.report.refuse("a state claims to come from the future");
                 continue;
@@ -229,7 +231,7 @@ impl MemoryProcess {
         let exposure = FlightTime::from_nanos(header.stamp.valid_ns);
         // Exposures are unique within a run and, unlike sequence numbers, across restarts.
         let id = header.stamp.valid_ns as u64;
-        if is_ahead(exposure, ports.now()) {
+        if is_of_the_future(&header.stamp) {
             self.lost.late += 1;
             self.report.refuse("an expanded image claims to come from the future");
             return;

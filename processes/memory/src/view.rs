@@ -342,7 +342,7 @@ fn ask_one(view: &View, place: [f32; 3]) -> Tally<1> {
         *said = view.look(group, place);
     }
     if !said.iter().any(Said::is_occupied_anywhere) {
-        return Tally::unopposed(said).across();
+        return Tally::unopposed_on_one(said);
     }
     let mut votes = Votes::none();
     for (key, lane) in view.keys.iter().zip(0..) {

@@ -32,12 +32,12 @@ pub(crate) mod flag {
     pub(crate) const OCCUPIED: i32 = 16;
 }
 
-/// What a view says of `N` places, and how much that weighs: one lane each.
+/// What a view says of `N` places, and how much that weighs, one lane each; or what as many views say of one place.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Said<const N: usize> {
     pub(crate) flags: [i32; N],
     pub(crate) weights: [i32; N],
-    /// Exposure before that of the newest view, ms.
+    /// Exposure before that of the newest view, ms. Of several views it is kept elsewhere.
     pub(crate) exposure_ms: i32,
 }
 
@@ -61,7 +61,7 @@ pub(crate) struct Tally<const N: usize> {
     most_background: [i32; N],
     /// Flags of all views that counted.
     flags: [i32; N],
-    /// Views that see the place occupied.
+    /// Views whose votes for occupied count.
     witnesses: [i32; N],
 }
 
@@ -81,7 +81,7 @@ impl<const N: usize> Tally<N> {
 
     /// Where no view sees any of the places occupied: nothing is superseded or overruled, the order does not matter.
     #[inline(always)]
-    pub(crate) fn unopposed(said: &[Said<N>]) -> Self {
+    fn unopposed(said: &[Said<N>]) -> Self {
         let none = [0; N];
         let mut tally = Self {
             occupied: none,
@@ -106,19 +106,20 @@ impl<const N: usize> Tally<N> {
         tally
     }
 
-    /// Of one place on which every lane is a vote of its own, as [`Self::unopposed`].
+    /// Of one place that no view sees occupied, on which every lane is a view of its own.
     #[inline(always)]
-    pub(crate) fn across(&self) -> Tally<1> {
+    pub(crate) fn unopposed_on_one(views: &[Said<N>]) -> Tally<1> {
+        let all = Self::unopposed(views);
         let sum = |votes: &[i32; N]| [votes.iter().sum()];
         let most = |votes: &[i32; N]| [votes.iter().fold(0, |most, &vote| most.max(vote))];
         Tally {
-            occupied: sum(&self.occupied),
-            safe: sum(&self.safe),
-            most_free: most(&self.most_free),
-            background: sum(&self.background),
-            most_background: most(&self.most_background),
-            flags: [self.flags.iter().fold(0, |all, &flag| all | flag)],
-            witnesses: sum(&self.witnesses),
+            occupied: [0],
+            safe: sum(&all.safe),
+            most_free: most(&all.most_free),
+            background: sum(&all.background),
+            most_background: most(&all.most_background),
+            flags: [all.flags.iter().fold(0, |all, &flag| all | flag)],
+            witnesses: [0],
         }
     }
 
@@ -244,6 +245,52 @@ impl<const N: usize> Votes<N> {
             most_background: self.most_background,
             flags: self.flags,
             witnesses: self.witnesses,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{RngExt, SeedableRng};
+
+    /// Where no view sees a place occupied, in lanes or across them, as if cast one by one.
+    #[test]
+    fn unopposed_votes_come_to_what_casting_them_does() {
+        const N: usize = 16;
+        let mut random = rand_pcg::Pcg64Mcg::seed_from_u64(4);
+        for views in 0..40_usize {
+            let flags = [flag::OUT_OF_VIEW, flag::UNMEASURED, flag::OCCLUDED, flag::FREE, flag::FAR_BACKGROUND];
+            let mut view = |exposure_ms: i32| Said::<N> {
+                flags: std::array::from_fn(|_| flags[random.random_range(0..flags.len())]),
+                weights: std::array::from_fn(|_| random.random_range(0..5000)),
+                exposure_ms,
+            };
+            let said: Vec<_> = (0..views).map(|age| view(-100 * age as i32)).collect();
+            let found = Tally::of(&said, 1000);
+            for lane in 0..N {
+                let mut votes = Votes::<1>::none();
+                let one = |said: &Said<N>| Said {
+                    flags: [said.flags[lane]],
+                    weights: [said.weights[lane]],
+                    exposure_ms: said.exposure_ms,
+                };
+                said.iter().for_each(|said| votes.cast(&one(said), 1000));
+                let expected = votes.tally();
+                let mut across = vec![Said::<N>::NOTHING; views.div_ceil(N)];
+                for (view, said) in said.iter().enumerate() {
+                    across[view / N].flags[view % N] = said.flags[lane];
+                    across[view / N].weights[view % N] = said.weights[lane];
+                }
+                let on_one = Tally::unopposed_on_one(&across);
+                for has_parallax in [false, true] {
+                    let expected = expected.count(0, has_parallax);
+                    assert_eq!(found.count(lane, has_parallax), expected);
+                    assert_eq!(on_one.count(0, has_parallax), expected);
+                }
+                assert_eq!(found.has_background(lane), expected.has_background(0));
+                assert_eq!(on_one.has_background(0), expected.has_background(0));
+            }
         }
     }
 }
