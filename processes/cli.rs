@@ -4,6 +4,7 @@ use crate::calibrate::{self, CalibrateArguments};
 use crate::child::{self, ChildArguments};
 use crate::config::FlightConfig;
 use crate::curves::{CurvesArguments, curves};
+use crate::evaluate::{EvaluateArguments, evaluate};
 use crate::expand::{ExpandArguments, expand};
 use crate::fly::{FlyArguments, fly};
 use crate::map::{MapArguments, map};
@@ -34,6 +35,8 @@ struct CommandLine {
 enum Command {
     /// Fly in the simulator. Exit status 0 only when the goal was reached without a collision.
     Fly(FlyArguments),
+    /// Fly many seeds, speeds, worlds and configurations in lockstep on all cores: a table, and what it comes to.
+    Evaluate(EvaluateArguments),
     /// Feed the graph with real images, from files or live: disparity, configuration space and occupancy.
     Replay(Box<ReplayArguments>),
     /// Match one pair of images: disparity as a file, error figures, time.
@@ -70,6 +73,7 @@ pub fn run() -> Result<ExitCode, Box<dyn Error>> {
     let command_line = CommandLine::parse();
     match command_line.command.unwrap_or(Command::Fly(command_line.fly)) {
         Command::Fly(arguments) => fly(&arguments),
+        Command::Evaluate(arguments) => evaluate(&arguments),
         Command::Replay(arguments) => replay(&arguments),
         Command::Stereo(arguments) => stereo(&arguments),
         Command::Expand(arguments) => expand(&arguments),

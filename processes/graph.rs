@@ -3,6 +3,7 @@
 use crate::config::{FlightConfig, VehicleConfig};
 use controller::ControllerProcess;
 use expansion::{ExpansionProcess, Reach};
+use ipc_types::ProcessId;
 use memory::{MapModel, MemoryProcess};
 use planner::PlannerProcess;
 use recorder::RecorderProcess;
@@ -12,7 +13,7 @@ use std::cell::RefCell;
 use std::rc::Rc;
 use std::sync::Arc;
 use stereo_ingest::{Source, StereoProcess};
-use supervisor::{Mission, Outcome, Summary};
+use supervisor::{LatencySummary, Mission, Outcome, Summary};
 
 /// The stereo-ingest process of a configuration.
 pub fn stereo_ingest(config: &FlightConfig) -> StereoProcess {
@@ -106,6 +107,11 @@ impl Flight {
         lockstep.add(controller(config));
         recorder.map(|recorder| lockstep.add(recorder));
         Self { lockstep, mission }
+    }
+
+    /// How long the planner's steps took on this machine.
+    pub fn planning_times(&self) -> LatencySummary {
+        self.lockstep.step_times_us(ProcessId::Planner).map(LatencySummary::of_us).unwrap_or_default()
     }
 
     /// Flies to the end. `watch` is called as flight time passes; when it returns false the flight is interrupted.

@@ -14,11 +14,13 @@
 //! [`lockstep`](graph::Flight) all of them in one thread. [`cli`] is the command line.
 
 mod calibrate;
+mod campaign;
 pub mod child;
 pub mod cli;
 pub mod config;
 mod curves;
 mod display;
+mod evaluate;
 mod expand;
 mod fly;
 pub mod graph;

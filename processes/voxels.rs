@@ -3,7 +3,7 @@
 use colorous::{TURBO, VIRIDIS};
 use image::{Rgb, RgbImage};
 use ipc_types::{Point, World};
-use memory::{Occupancy, Points, View};
+use memory::{Occupancy, Points, Scratch, View};
 use std::error::Error;
 use std::fmt::Write as _;
 use std::path::Path;
@@ -42,7 +42,7 @@ impl VoxelGrid {
         let axis = |axis: usize| (0..total).map(|index| grid.place(index).to_array()[axis]).collect::<Vec<f64>>();
         let (x, y, z) = (axis(0), axis(1), axis(2));
         let points = Points { x_m: &x, y_m: &y, z_m: &z };
-        view.occupancies(points, threshold, &mut grid.voxels)?;
+        view.occupancies(points, threshold, &mut Scratch::default(), &mut grid.voxels)?;
         Ok(grid)
     }
 

@@ -8,7 +8,7 @@ use ipc_types::disparity::encode;
 use ipc_types::messages::Layers;
 use ipc_types::noise::NoiseModel;
 use ipc_types::{Body, FlightTime, Point, Pose, Rotation, StereoRig, Vector, World};
-use memory::{FreeSpace, FreeSpaceRule, Inference, MapModel, Occupancy, Points, View};
+use memory::{FreeSpace, FreeSpaceRule, Inference, MapModel, Occupancy, Points, Scratch, View};
 use rand::{RngExt, SeedableRng};
 use std::hint::black_box;
 
@@ -74,7 +74,7 @@ fn bench(criterion: &mut Criterion) {
         ("640x480 2 layers", 640, Layers::Two, Inference::Confidence),
         ("640x480 4 layers", 640, Layers::Four, Inference::Confidence),
     ] {
-        let view = map(width_px, layers, inference);
+        let (view, mut scratch) = (map(width_px, layers, inference), Scratch::default());
         let mut group = criterion.benchmark_group(name);
         for (where_, points) in [("anywhere", &anywhere), ("along candidates", &along)] {
             group.throughput(Throughput::Elements(points.len() as u64));
@@ -89,7 +89,7 @@ fn bench(criterion: &mut Criterion) {
             group.bench_with_input(BenchmarkId::new("batched", where_), points, |bencher, _| {
                 bencher.iter(|| {
                     let points = Points { x_m: &x, y_m: &y, z_m: &z };
-                    view.occupancies(black_box(points), 0.9, &mut answers).expect("one length");
+                    view.occupancies(black_box(points), 0.9, &mut scratch, &mut answers).expect("one length");
                 });
             });
         }
@@ -104,7 +104,7 @@ fn bench(criterion: &mut Criterion) {
         group.bench_function("voxel grid", |bencher| {
             bencher.iter(|| {
                 let points = Points { x_m: &x, y_m: &y, z_m: &z };
-                view.occupancies(black_box(points), 0.9, &mut answers).expect("one length");
+                view.occupancies(black_box(points), 0.9, &mut scratch, &mut answers).expect("one length");
             });
         });
         group.finish();

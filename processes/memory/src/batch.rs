@@ -18,6 +18,16 @@ pub struct Points<'a> {
     pub z_m: &'a [f64],
 }
 
+/// What a batch is worked out in, for as many keyframes as there may be: made once, used again.
+#[derive(Clone, Debug)]
+pub struct Scratch(Looked<BLOCK>);
+
+impl Default for Scratch {
+    fn default() -> Self {
+        Self(Looked::new())
+    }
+}
+
 /// Why a batch was refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("coordinates and answers must be of one length, not {x}, {y}, {z} and {answers}")]
@@ -41,6 +51,7 @@ impl View {
         &self,
         points: Points<'_>,
         threshold: f32,
+        scratch: &mut Scratch,
         answers: &mut [Occupancy],
     ) -> Result<(), LengthsDiffer> {
         let Points { x_m, y_m, z_m } = points;
@@ -49,7 +60,6 @@ impl View {
             return Err(LengthsDiffer { x: x_m.len(), y: y_m.len(), z: z_m.len(), answers: count });
         }
         let threshold = threshold_votes(threshold);
-        let mut looked = Looked::room_for(self);
         for (block, answers) in answers.chunks_mut(BLOCK).enumerate() {
             let from = block * BLOCK;
             // What is missing in the last block is where the view is anchored, and not looked at.
@@ -59,7 +69,7 @@ impl View {
                 places.y[lane] = (y_m[from + lane] - self.anchor.y) as f32;
                 places.z[lane] = (z_m[from + lane] - self.anchor.z) as f32;
             }
-            let tally = ask_block(self, &places, &mut looked);
+            let tally = ask_block(self, &places, &mut scratch.0);
             for (lane, answer) in answers.iter_mut().enumerate() {
                 let place = [places.x[lane], places.y[lane], places.z[lane]];
                 let has_parallax = tally.has_background(lane) && self.background_has_parallax(place);

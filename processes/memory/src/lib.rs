@@ -21,8 +21,7 @@ mod view;
 mod votes;
 
 pub use along::{Demand, FINEST_M, Hit, TimedHit};
-pub use batch::{LengthsDiffer, Points};
-
+pub use batch::{LengthsDiffer, Points, Scratch};
 pub use evidence::{FreeSpace, FreeSpaceRule};
 pub use graph::{DisparityGraph, GraphRule, Node, Place};
 pub use inference::{Inference, probability_mass};

@@ -119,9 +119,8 @@ pub(crate) struct Looked<const N: usize> {
 }
 
 impl<const N: usize> Looked<N> {
-    pub(crate) fn room_for(view: &View) -> Self {
-        let keyframes = view.keyframes();
-        Self { seen: vec![Projected::NOTHING; keyframes], said: vec![Said::NOTHING; keyframes] }
+    pub(crate) fn new() -> Self {
+        Self { seen: vec![Projected::NOTHING; GraphRule::MOST], said: vec![Said::NOTHING; GraphRule::MOST] }
     }
 }
 

@@ -5,7 +5,7 @@ use ipc_types::disparity::{NO_MATCH, TEXTURELESS, encode};
 use ipc_types::messages::Layers;
 use ipc_types::noise::NoiseModel;
 use ipc_types::{Body, FlightTime, Point, Pose, Rotation, StereoRig, Vector, World};
-use memory::{Demand, FINEST_M, FreeSpace, FreeSpaceRule, Inference, MapModel, Occupancy, Points, View};
+use memory::{Demand, FINEST_M, FreeSpace, FreeSpaceRule, Inference, MapModel, Occupancy, Points, Scratch, View};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
@@ -43,7 +43,7 @@ fn random_view(seed: u64) -> (View, Pcg64Mcg) {
         FreeSpaceRule { home_radius_m: 1.0, home_height_m: 2.0, swept_radius_m: 0.5, background_parallax_m: 0.3 };
     let model = MapModel { rig, noise, layout, radius_m: 0.4, inference, forget_s: 0.5 };
     let mut view = View::new(model, FreeSpace::new(rule, Point::new(-3.0, 0.0, 0.0)));
-    for key in 0..random.random_range(1..26) {
+    for key in 0..random.random_range(1..62) {
         let horizon = random.random_range(5..25);
         let mut image: Vec<u16> = (0..rig.pixels())
             .map(|i| if i / 96 < horizon { TEXTURELESS } else { encode(0.8 + (i / 96) as f32 * 0.06) })
@@ -87,7 +87,7 @@ fn batches_answer_as_single_points_do() {
         for count in [0, 1, 31, 32, 33, points.len()] {
             let mut answers = vec![Occupancy::Occupied; count];
             let batch = Points { x_m: &x[..count], y_m: &y[..count], z_m: &z[..count] };
-            view.occupancies(batch, GAMMA, &mut answers).expect("one length");
+            view.occupancies(batch, GAMMA, &mut Scratch::default(), &mut answers).expect("one length");
             for (point, answer) in points.iter().zip(answers) {
                 assert_eq!(answer, view.occupancy(*point, GAMMA), "seed {seed}: {point:?}");
                 kinds[match answer {
@@ -98,7 +98,7 @@ fn batches_answer_as_single_points_do() {
             }
         }
         let batch = Points { x_m: &x[..3], y_m: &y[..2], z_m: &z[..3] };
-        assert!(view.occupancies(batch, GAMMA, &mut [Occupancy::Free; 3]).is_err());
+        assert!(view.occupancies(batch, GAMMA, &mut Scratch::default(), &mut [Occupancy::Free; 3]).is_err());
     }
     println!("free, occupied, unknown: {kinds:?}");
     assert!(kinds.iter().all(|&count| count > 1000), "{kinds:?}");

@@ -7,7 +7,7 @@
 
 use ipc_types::limits::Fence;
 use ipc_types::{Point, World};
-use memory::{Occupancy, View};
+use memory::{Occupancy, Points, Scratch, Unknown, View};
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
@@ -33,6 +33,10 @@ struct Memory {
 #[derive(Clone, Debug)]
 pub(crate) struct Field {
     first: (i64, i64),
+    /// Centres of the cells: x, y and z, m; and what the map says of them.
+    places: [Vec<f64>; 3],
+    seen: Vec<Occupancy>,
+    scratch: Scratch,
     /// Price of crossing a cell relative to a free one; infinite where closed.
     price: Vec<f32>,
     /// Length of the way to the goal, m.
@@ -46,6 +50,9 @@ impl Field {
         let cells = SIDE * SIDE;
         Self {
             first: (0, 0),
+            places: [0; 3].map(|_| vec![0.0; cells]),
+            seen: vec![Occupancy::Unknown(Unknown::OutOfView); cells],
+            scratch: Scratch::default(),
             price: vec![1.0; cells],
             to_goal_m: vec![f32::INFINITY; cells],
             queue: BinaryHeap::with_capacity(9 * cells),
@@ -58,11 +65,15 @@ impl Field {
         let (x, y) = cell_of(at);
         self.first = (x - HALF, y - HALF);
         for index in 0..self.price.len() {
+            let place = centre(self.cell(index), at.z);
+            (self.places[0][index], self.places[1][index], self.places[2][index]) = (place.x, place.y, place.z);
+        }
+        let [x_m, y_m, z_m] = &self.places;
+        let asked = view.occupancies(Points { x_m, y_m, z_m }, ask.threshold, &mut self.scratch, &mut self.seen);
+        for index in 0..self.price.len() {
             let cell = self.cell(index);
-            let place = centre(cell, at.z);
-            self.price[index] = if fence.contains(place) {
-                let seen = view.occupancy(place, ask.threshold);
-                self.price_of(cell, seen, ask.unknown_price)
+            self.price[index] = if asked.is_ok() && fence.contains(centre(cell, at.z)) {
+                self.price_of(cell, self.seen[index], ask.unknown_price)
             } else {
                 f32::INFINITY
             };

@@ -60,7 +60,7 @@ impl MissionConfig {
 }
 
 /// How a flight ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Outcome {
     /// Hovers within a metre of the goal.

@@ -66,6 +66,19 @@ pub struct LatencySummary {
     pub max_ms: f64,
 }
 
+impl LatencySummary {
+    /// Of latencies in µs.
+    pub fn of_us(histogram: &Histogram<u64>) -> Self {
+        let ms = |us: u64| us as f64 * 1e-3;
+        Self {
+            count: histogram.len(),
+            p50_ms: ms(histogram.value_at_quantile(0.5)),
+            p99_ms: ms(histogram.value_at_quantile(0.99)),
+            max_ms: ms(histogram.max()),
+        }
+    }
+}
+
 /// Messages that a process could not use, over all its incarnations.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Losses {
@@ -224,7 +237,7 @@ impl Recorder {
 
     /// Median and 99th percentile of exposure → command so far, ms.
     pub fn exposure_to_command(&self) -> LatencySummary {
-        summarise(&self.exposure_to_command)
+        LatencySummary::of_us(&self.exposure_to_command)
     }
 
     /// Least clearance so far, m.
@@ -254,8 +267,12 @@ impl Recorder {
             replans: plan.map_or(0, |plan| plan.replans),
             frames: self.frames,
             frames_without_map: self.frames.saturating_sub(self.maps),
-            stages: self.stages.iter().map(|(stage, histogram)| ((*stage).to_owned(), summarise(histogram))).collect(),
-            exposure_to_command: summarise(&self.exposure_to_command),
+            stages: self
+                .stages
+                .iter()
+                .map(|(stage, histogram)| ((*stage).to_owned(), LatencySummary::of_us(histogram)))
+                .collect(),
+            exposure_to_command: LatencySummary::of_us(&self.exposure_to_command),
             clock_ratio: truth.map_or(0.0, |truth| truth.clock_ratio),
             processes: Vec::new(),
             losses: self.losses(),
@@ -272,14 +289,4 @@ fn histogram() -> Histogram<u64> {
 
 fn record(histogram: &mut Histogram<u64>, nanos: i64) {
     histogram.saturating_record((nanos.max(0) as u64 / 1000).min(LONGEST_US));
-}
-
-fn summarise(histogram: &Histogram<u64>) -> LatencySummary {
-    let ms = |us: u64| us as f64 * 1e-3;
-    LatencySummary {
-        count: histogram.len(),
-        p50_ms: ms(histogram.value_at_quantile(0.5)),
-        p99_ms: ms(histogram.value_at_quantile(0.99)),
-        max_ms: ms(histogram.max()),
-    }
 }

@@ -13,6 +13,7 @@ pub use latency::{Latency, LatencyModel};
 use crate::images::ImageStore;
 use crate::ports::{Connect, Ports, Process, Report};
 use bus::Bus;
+use hdrhistogram::Histogram;
 use ipc_types::topics::HealthReports;
 use ipc_types::wire::Text;
 use ipc_types::{FlightTime, ProcessId};
@@ -20,7 +21,7 @@ use std::cell::RefCell;
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 use std::rc::Rc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// A process in the lockstep graph, whatever its type.
 trait Node {
@@ -58,6 +59,16 @@ struct Slot {
     wake_at: Option<FlightTime>,
     next_beat: FlightTime,
     steps: u64,
+    /// Host time of the steps that published, µs. It influences nothing.
+    step_times_us: Histogram<u64>,
+}
+
+/// Longer steps are not told apart, µs.
+const LONGEST_STEP_US: u64 = 60_000_000;
+
+fn step_times() -> Histogram<u64> {
+    // Constant bounds that are valid.
+    Histogram::new_with_max(LONGEST_STEP_US, 2).unwrap_or_else(|_| unreachable!("bounds are valid"))
 }
 
 /// Flight time between heartbeats.
@@ -120,6 +131,7 @@ impl Lockstep {
             wake_at: None,
             next_beat: FlightTime::ZERO,
             steps: 0,
+            step_times_us: step_times(),
         });
         self.wake(slot, FlightTime::ZERO);
         process
@@ -128,6 +140,11 @@ impl Lockstep {
     /// Flight time.
     pub fn now(&self) -> FlightTime {
         self.now
+    }
+
+    /// How long the steps of a process that published took on this machine, µs.
+    pub fn step_times_us(&self, process: ProcessId) -> Option<&Histogram<u64>> {
+        self.slots.iter().find(|slot| slot.node.id() == process).map(|slot| &slot.step_times_us)
     }
 
     /// Hash of every message published so far: topic, header and elements, in order.
@@ -181,9 +198,12 @@ impl Lockstep {
         slot.wake_at = None;
         let taken = slot.latency.draw();
         slot.node.ports().begin(now, now + taken);
+        let began = Instant::now();
         let report = slot.node.step();
         slot.steps += u64::from(report.worked);
         if report.worked {
+            let us = u64::try_from(began.elapsed().as_micros()).unwrap_or(LONGEST_STEP_US);
+            slot.step_times_us.saturating_record(us);
             slot.busy_until = now + taken;
         }
         if now >= slot.next_beat {

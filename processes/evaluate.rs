@@ -1,0 +1,213 @@
+//! `sparrowhawk evaluate`: many flights in lockstep on all cores, a row each.
+//!
+//! Flights are cut from one another by configuration, world, speed and seed. A campaign that was interrupted, or is to be
+//! widened, goes on where it was: what the table holds already is not flown again.
+
+use crate::campaign::{Case, MadeBy, Row, Table, digest};
+use crate::config::FlightConfig;
+use crate::graph::Flight;
+use crate::run_files::VERSION;
+use clap::Args;
+use indicatif::{ProgressBar, ProgressStyle};
+use std::error::Error;
+use std::ops::RangeInclusive;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use stereo_ingest::Source;
+use supervisor::Outcome;
+use xxhash_rust::xxh3::xxh3_64;
+
+/// Most flights of a campaign.
+const MOST_FLIGHTS: usize = 1_000_000;
+
+/// Options of a campaign. Every combination of configuration, world, speed and seed is flown.
+#[derive(Clone, Debug, Args)]
+pub(crate) struct EvaluateArguments {
+    /// Flight files (RON) to compare; the shipped config/default.ron if not given. Repeat, or separate by commas.
+    #[arg(long, value_name = "FILE", value_delimiter = ',')]
+    config: Vec<PathBuf>,
+    /// Worlds: forest, field, wall, or RON files; each flight file's own if not given. Repeat, or separate by commas.
+    #[arg(long, value_name = "NAME|FILE", value_delimiter = ',')]
+    world: Vec<String>,
+    /// Highest speeds, m/s; each flight file's own if not given. Repeat, or separate by commas.
+    #[arg(long, value_name = "M/S", value_delimiter = ',')]
+    speed: Vec<f64>,
+    /// Seeds, first and last: 1..100 are a hundred. Of worlds and of all noise.
+    #[arg(long, value_name = "FIRST..LAST", default_value = "1..10", value_parser = parse_seeds)]
+    seeds: RangeInclusive<u64>,
+    /// Fly without looking: shows what avoidance is worth.
+    #[arg(long)]
+    no_avoidance: bool,
+    /// The table (CSV). Flights that it holds already are not flown again.
+    #[arg(long, value_name = "FILE", default_value = "campaign.csv")]
+    out: PathBuf,
+    /// Flights at a time; as many as the machine has cores if not given.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=1024))]
+    jobs: Option<u64>,
+}
+
+fn parse_seeds(text: &str) -> Result<RangeInclusive<u64>, String> {
+    let expected = || format!("is \"{text}\", expected FIRST..LAST or one number, the last no less than the first");
+    let number = |text: &str| text.trim().trim_start_matches('=').parse::<u64>().map_err(|_| expected());
+    let (first, last) = text.split_once("..").unwrap_or((text, text));
+    let seeds = number(first)?..=number(last)?;
+    if seeds.is_empty() { Err(expected()) } else { Ok(seeds) }
+}
+
+/// A flight to be flown.
+struct Todo {
+    case: Case,
+    made_by: MadeBy,
+    config: FlightConfig,
+}
+
+impl EvaluateArguments {
+    /// All flights that were asked for, seeds first, so that comparisons grow evenly.
+    fn flights(&self) -> Result<Vec<Todo>, Box<dyn Error>> {
+        let mut templates = Vec::new();
+        let configs: Vec<Option<&Path>> = optional(self.config.iter().map(PathBuf::as_path));
+        for path in configs {
+            for world in optional(self.world.iter().map(String::as_str)) {
+                for speed in optional(self.speed.iter().copied()) {
+                    templates.push(self.template(path, world, speed)?);
+                }
+            }
+        }
+        let seeds = self.seeds.end() - self.seeds.start();
+        if (seeds as f64 + 1.0) * templates.len() as f64 > MOST_FLIGHTS as f64 {
+            return Err(format!("--seeds: more than {MOST_FLIGHTS} flights were asked for").into());
+        }
+        let flights = self.seeds.clone().flat_map(|seed| {
+            templates.iter().map(move |(case, config)| {
+                let (case, config) = (Case { seed, ..case.clone() }, FlightConfig { seed, ..config.clone() });
+                let configuration = format!("{:016x}", xxh3_64(config.snapshot().as_bytes()));
+                Todo { made_by: MadeBy { configuration, version: VERSION.to_owned() }, case, config }
+            })
+        });
+        Ok(flights.collect())
+    }
+
+    /// A combination, of no seed yet.
+    fn template(
+        &self,
+        path: Option<&Path>,
+        world: Option<&str>,
+        speed: Option<f64>,
+    ) -> Result<(Case, FlightConfig), Box<dyn Error>> {
+        let mut config = FlightConfig::load(path, world)?;
+        // The simulator's images are rectified pairs.
+        (config.vehicle.calibration, config.vehicle.camera) = (None, None);
+        if config.vehicle.source != Source::Stereo {
+            return Err(
+                format!("vehicle.source is {:?}, the simulator renders stereo pairs", config.vehicle.source).into()
+            );
+        }
+        config.avoidance = !self.no_avoidance;
+        config.mission.cruise_speed_mps = speed.unwrap_or(config.mission.cruise_speed_mps);
+        config.check()?;
+        let name = |path: &Path| path.display().to_string();
+        let case = Case {
+            config: path.map_or("default".to_owned(), name),
+            world: world.unwrap_or("default").to_owned(),
+            cruise_mps: config.mission.cruise_speed_mps,
+            avoidance: config.avoidance,
+            seed: 0,
+        };
+        Ok((case, config))
+    }
+}
+
+/// What was given, or one that was not.
+fn optional<T>(given: impl Iterator<Item = T>) -> Vec<Option<T>> {
+    let given: Vec<Option<T>> = given.map(Some).collect();
+    if given.is_empty() { vec![None] } else { given }
+}
+
+/// Flies a campaign; the exit code says whether all of it was flown.
+pub(crate) fn evaluate(arguments: &EvaluateArguments) -> Result<ExitCode, Box<dyn Error>> {
+    let asked = arguments.flights()?;
+    let mut table = Table::open(&arguments.out)?;
+    if table.torn_bytes > 0 {
+        eprintln!("sparrowhawk: {}: cut off an unfinished row", arguments.out.display());
+    }
+    let cases: Vec<Case> = asked.iter().map(|todo| todo.case.clone()).collect();
+    let mut todo = Vec::new();
+    for flight in asked {
+        if !table.has(&flight.case, &flight.made_by)? {
+            todo.push(flight);
+        }
+    }
+    let stop = Arc::new(AtomicBool::new(false));
+    crate::cli::stop_on_signals(&stop)?;
+    let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
+    let jobs = arguments.jobs.map_or(cores, |jobs| jobs as usize).min(todo.len().max(1));
+    let bar = progress(cases.len(), cases.len() - todo.len());
+    fly_all(&todo, jobs, &stop, &mut table, &bar)?;
+    bar.finish_and_clear();
+    let rows: Vec<Row> = table.rows.iter().filter(|row| cases.contains(&row.case())).cloned().collect();
+    print!("{}", digest(&rows));
+    println!("table                  {}", arguments.out.display());
+    if rows.len() < cases.len() {
+        eprintln!("sparrowhawk: {} of {} flights flown; the same command goes on", rows.len(), cases.len());
+        return Ok(ExitCode::FAILURE);
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+fn progress(all: usize, done: usize) -> ProgressBar {
+    let bar = ProgressBar::new(all as u64).with_position(done as u64);
+    // A constant template that parses.
+    if let Ok(style) = ProgressStyle::with_template("{bar:30} {pos} of {len} flights  {elapsed} {msg}") {
+        bar.set_style(style);
+    }
+    bar.reset_eta();
+    bar.tick();
+    bar
+}
+
+/// Flies what is to be flown; stops when told, without the flights that are then in the air.
+fn fly_all(
+    todo: &[Todo],
+    jobs: usize,
+    stop: &AtomicBool,
+    table: &mut Table,
+    bar: &ProgressBar,
+) -> Result<(), Box<dyn Error>> {
+    let next = Mutex::new(todo.iter());
+    let table = Mutex::new((table, None));
+    std::thread::scope(|scope| {
+        for _ in 0..jobs {
+            scope.spawn(|| {
+                while !stop.load(Ordering::Relaxed) {
+                    let Some(flight) = next.lock().unwrap_or_else(PoisonError::into_inner).next() else { return };
+                    let Some(row) = fly_one(flight, stop) else { return };
+                    let (table, failed) = &mut *table.lock().unwrap_or_else(PoisonError::into_inner);
+                    if let Err(error) = table.add(row) {
+                        // Nothing more can be kept.
+                        *failed = Some(error.to_string());
+                        stop.store(true, Ordering::Relaxed);
+                    }
+                    bar.set_message(state(&table.rows));
+                    bar.inc(1);
+                }
+            });
+        }
+    });
+    let (_, failed) = table.into_inner().unwrap_or_else(PoisonError::into_inner);
+    failed.map_or(Ok(()), |problem| Err(format!("cannot write the table: {problem}").into()))
+}
+
+fn state(rows: &[Row]) -> String {
+    let count = |outcome| rows.iter().filter(|row| row.outcome == outcome).count();
+    format!("{} arrived, {} collided", count(Outcome::Arrived), count(Outcome::Collided))
+}
+
+/// A flight, unless it was interrupted.
+fn fly_one(todo: &Todo, stop: &AtomicBool) -> Option<Row> {
+    let mut flight = Flight::new(&todo.config, None);
+    let summary = flight.fly(|_| !stop.load(Ordering::Relaxed));
+    let planning = flight.planning_times();
+    (summary.outcome != Outcome::Interrupted).then(|| Row::new(&todo.case, &todo.made_by, &summary, planning))
+}
