@@ -58,9 +58,9 @@ enum Command {
 
 #[derive(Debug, Args)]
 struct CheckArguments {
-    /// Flight file (RON); the shipped config/default.ron if not given.
+    /// Flight: default, fast, or a file (RON); default if not given.
     config: Option<PathBuf>,
-    /// World: forest, field, wall, or a RON file.
+    /// World: forest, long_forest, field, wall, or a RON file.
     #[arg(long, value_name = "NAME|FILE")]
     world: Option<String>,
 }

@@ -73,14 +73,24 @@ pub struct FlightConfig {
 }
 
 /// The configuration files that ship, compiled in.
-const SHIPPED: [(&str, &str); 6] = [
+const SHIPPED: [(&str, &str); 10] = [
     ("default.ron", include_str!("../config/default.ron")),
+    ("fast.ron", include_str!("../config/fast.ron")),
     ("vehicles/scout.ron", include_str!("../config/vehicles/scout.ron")),
+    ("vehicles/swift.ron", include_str!("../config/vehicles/swift.ron")),
     ("worlds/forest.ron", include_str!("../config/worlds/forest.ron")),
+    ("worlds/long_forest.ron", include_str!("../config/worlds/long_forest.ron")),
     ("worlds/field.ron", include_str!("../config/worlds/field.ron")),
     ("worlds/wall.ron", include_str!("../config/worlds/wall.ron")),
     ("graphs/droan.ron", include_str!("../config/graphs/droan.ron")),
+    ("graphs/droan_640.ron", include_str!("../config/graphs/droan_640.ron")),
 ];
+
+/// The shipped file of a name that was asked for: `fast` is `fast.ron`.
+fn shipped(folder: &str, name: &str) -> Option<String> {
+    let file = format!("{folder}{name}.ron");
+    SHIPPED.iter().any(|(shipped, _)| *shipped == file).then_some(file)
+}
 
 /// Largest configuration file, bytes.
 const LARGEST_FILE: u64 = 1 << 20;
@@ -131,15 +141,16 @@ pub(crate) fn parse<T: DeserializeOwned>(path: &str, text: &str) -> Result<T, Co
 }
 
 impl FlightConfig {
-    /// Reads a flight file and the files it names, or the shipped ones. Another world may be asked for: a file, or
-    /// the name of a shipped one. Checks each file's values; [`FlightConfig::check`] checks how they fit.
+    /// Reads a flight file and the files it names, or shipped ones: `path` may be the name of such a flight, and is
+    /// `default` if not given. Another world may be asked for: a file, or the name of a shipped one. Checks each file's values; [`FlightConfig::check`] checks how they fit.
     ///
     /// # Errors
     /// The first file that cannot be read or parsed; else all impossible values.
     pub fn load(path: Option<&Path>, world: Option<&str>) -> Result<Self, ConfigError> {
-        let (source, top) = match path {
-            None => (Source::Shipped, "default.ron".to_owned()),
-            Some(path) => {
+        let named = path.map_or(Some("default"), Path::to_str).and_then(|name| shipped("", name));
+        let (source, top) = match (named, path.unwrap_or(Path::new(""))) {
+            (Some(name), _) => (Source::Shipped, name),
+            (None, path) => {
                 let folder = path.parent().unwrap_or(Path::new("")).to_owned();
                 (Source::Folder(folder), path.file_name().unwrap_or_default().to_string_lossy().into_owned())
             }
@@ -148,12 +159,10 @@ impl FlightConfig {
         let file: FlightFile = parse(&label, &text)?;
         let (vehicle_path, text) = source.read(&file.vehicle)?;
         let vehicle: VehicleConfig = parse(&vehicle_path, &text)?;
-        let (world_path, text) = match world {
-            None => source.read(&file.world)?,
-            Some(name) if SHIPPED.iter().any(|(shipped, _)| *shipped == format!("worlds/{name}.ron")) => {
-                Source::Shipped.read(&format!("worlds/{name}.ron"))?
-            }
-            Some(path) => (path.to_owned(), read_text(Path::new(path))?),
+        let (world_path, text) = match (world.and_then(|name| shipped("worlds/", name)), world) {
+            (Some(name), _) => Source::Shipped.read(&name)?,
+            (None, Some(path)) => (path.to_owned(), read_text(Path::new(path))?),
+            (None, None) => source.read(&file.world)?,
         };
         let world = parse(&world_path, &text)?;
         let (graph_path, text) = source.read(&file.graph)?;
@@ -328,12 +337,18 @@ mod tests {
 
     #[test]
     fn what_ships_is_possible() {
-        for world in [None, Some("forest"), Some("field"), Some("wall")] {
-            let config = FlightConfig::load(None, world).expect("loads");
-            config.check().expect("fits");
-            let snapshot = config.snapshot();
-            assert_eq!(parse::<FlightConfig>("snapshot", &snapshot).expect("reads back"), config);
+        for flight in [None, Some("default"), Some("fast")] {
+            for world in [None, Some("forest"), Some("long_forest"), Some("field"), Some("wall")] {
+                let config = FlightConfig::load(flight.map(Path::new), world).expect("loads");
+                config.check().expect("fits");
+                let snapshot = config.snapshot();
+                assert_eq!(parse::<FlightConfig>("snapshot", &snapshot).expect("reads back"), config);
+            }
         }
+        let top = std::fs::read_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/config")).expect("there").flatten();
+        // A file counts as one, a folder as what is in it.
+        let files = top.map(|entry| std::fs::read_dir(entry.path()).map_or(1, Iterator::count));
+        assert_eq!(files.sum::<usize>(), SHIPPED.len(), "every file of config/ is compiled in");
     }
 
     #[test]

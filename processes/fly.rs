@@ -24,10 +24,10 @@ use supervisor::{
 /// Options of a flight.
 #[derive(Clone, Debug, Args)]
 pub(crate) struct FlyArguments {
-    /// Flight file (RON); the shipped config/default.ron if not given.
+    /// Flight: default, fast, or a file (RON); default if not given.
     #[arg(long, value_name = "FILE")]
     pub(crate) config: Option<PathBuf>,
-    /// World: forest, field, wall, or a RON file.
+    /// World: forest, long_forest, field, wall, or a RON file.
     #[arg(long, value_name = "NAME|FILE")]
     pub(crate) world: Option<String>,
     /// Seed of the world and of all noise.

@@ -113,3 +113,18 @@ fn a_blank_wall_across_the_way_stops_the_vehicle() {
     assert!(flight.distance_to_goal_m > 39.0, "{flight:?}");
     assert!(flight.max_speed_mps > 2.0, "it flies at all: {flight:?}");
 }
+
+#[test]
+fn a_fast_vehicle_crosses_100_m_of_forest() {
+    let _alone = real_time();
+    let flights = on_threads(cores(), 1..=4, |seed| {
+        let fast = FlightConfig::load(Some("fast".as_ref()), None).expect("the shipped configuration loads");
+        fly(&FlightConfig { seed, ..fast })
+    });
+    for flight in &flights {
+        println!("{:?} in {:.1} s, at most {:.1} m/s", flight.outcome, flight.flight_time_s, flight.max_speed_mps);
+        assert_ne!(flight.outcome, Outcome::Collided, "{flight:?}");
+        assert!(flight.max_speed_mps > 8.0, "{flight:?}");
+    }
+    assert!(flights.iter().filter(|flight| flight.outcome == Outcome::Arrived).count() >= 3);
+}
