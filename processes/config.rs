@@ -89,7 +89,7 @@ const SHIPPED: [(&str, &str); 10] = [
 /// The shipped file of a name that was asked for: `fast` is `fast.ron`.
 fn shipped(folder: &str, name: &str) -> Option<String> {
     let file = format!("{folder}{name}.ron");
-    SHIPPED.iter().any(|(shipped, _)| *shipped == file).then_some(file)
+    (!name.contains('/') && SHIPPED.iter().any(|(shipped, _)| *shipped == file)).then_some(file)
 }
 
 /// Largest configuration file, bytes.

@@ -1,6 +1,6 @@
 //! `sparrowhawk evaluate`: many flights in lockstep on all cores, a row each.
 //!
-//! Flights are cut from one another by configuration, world, speed and seed. A campaign that was interrupted, or is to be
+//! Flights differ in configuration, world, speed and seed. A campaign that was interrupted, or is to be
 //! widened, goes on where it was: what the table holds already is not flown again.
 
 use crate::campaign::{Case, MadeBy, Row, Table, digest};
@@ -9,6 +9,7 @@ use crate::graph::Flight;
 use crate::run_files::VERSION;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
+use std::collections::HashSet;
 use std::error::Error;
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
@@ -56,22 +57,30 @@ fn parse_seeds(text: &str) -> Result<RangeInclusive<u64>, String> {
     if seeds.is_empty() { Err(expected()) } else { Ok(seeds) }
 }
 
-/// A flight to be flown.
-struct Todo {
+/// A flight to be flown: a combination with a seed.
+struct Todo<'a> {
     case: Case,
     made_by: MadeBy,
-    config: FlightConfig,
+    template: &'a FlightConfig,
+}
+
+impl Todo<'_> {
+    fn config(&self) -> FlightConfig {
+        FlightConfig { seed: self.case.seed, ..self.template.clone() }
+    }
 }
 
 impl EvaluateArguments {
-    /// All flights that were asked for, seeds first, so that comparisons grow evenly.
-    fn flights(&self) -> Result<Vec<Todo>, Box<dyn Error>> {
-        let mut templates = Vec::new();
-        let configs: Vec<Option<&Path>> = optional(self.config.iter().map(PathBuf::as_path));
-        for path in configs {
+    /// All combinations that were asked for, once each.
+    fn templates(&self) -> Result<Vec<(Case, FlightConfig)>, Box<dyn Error>> {
+        let mut templates: Vec<(Case, FlightConfig)> = Vec::new();
+        for path in optional(self.config.iter().map(PathBuf::as_path)) {
             for world in optional(self.world.iter().map(String::as_str)) {
                 for speed in optional(self.speed.iter().copied()) {
-                    templates.push(self.template(path, world, speed)?);
+                    let (case, config) = self.template(path, world, speed)?;
+                    if templates.iter().all(|(other, _)| *other != case) {
+                        templates.push((case, config));
+                    }
                 }
             }
         }
@@ -79,14 +88,18 @@ impl EvaluateArguments {
         if (seeds as f64 + 1.0) * templates.len() as f64 > MOST_FLIGHTS as f64 {
             return Err(format!("--seeds: more than {MOST_FLIGHTS} flights were asked for").into());
         }
-        let flights = self.seeds.clone().flat_map(|seed| {
-            templates.iter().map(move |(case, config)| {
-                let (case, config) = (Case { seed, ..case.clone() }, FlightConfig { seed, ..config.clone() });
-                let configuration = format!("{:016x}", xxh3_64(config.snapshot().as_bytes()));
-                Todo { made_by: MadeBy { configuration, version: VERSION.to_owned() }, case, config }
-            })
-        });
-        Ok(flights.collect())
+        Ok(templates)
+    }
+
+    /// All flights, seed by seed, so that comparisons grow evenly.
+    fn flights<'a>(&self, templates: &'a [(Case, FlightConfig)], version: &str) -> Vec<Todo<'a>> {
+        let with_seed = |seed: u64, (case, template): &'a (Case, FlightConfig)| {
+            let made_by = MadeBy { configuration: String::new(), version: version.to_owned() };
+            let mut todo = Todo { case: Case { seed, ..case.clone() }, made_by, template };
+            todo.made_by.configuration = format!("{:016x}", xxh3_64(todo.config().snapshot().as_bytes()));
+            todo
+        };
+        self.seeds.clone().flat_map(|seed| templates.iter().map(move |template| with_seed(seed, template))).collect()
     }
 
     /// A combination, of no seed yet.
@@ -125,16 +138,23 @@ fn optional<T>(given: impl Iterator<Item = T>) -> Vec<Option<T>> {
     if given.is_empty() { vec![None] } else { given }
 }
 
+/// The version with the executable's hash: changes that were never committed are another version, too.
+fn version() -> Result<String, Box<dyn Error>> {
+    let executable = std::env::current_exe()?;
+    let bytes = std::fs::read(&executable).map_err(|error| format!("{}: {error}", executable.display()))?;
+    Ok(format!("{VERSION} {:016x}", xxh3_64(&bytes)))
+}
+
 /// Flies a campaign; the exit code says whether all of it was flown.
 pub(crate) fn evaluate(arguments: &EvaluateArguments) -> Result<ExitCode, Box<dyn Error>> {
-    let asked = arguments.flights()?;
+    let templates = arguments.templates()?;
+    let mut todo = arguments.flights(&templates, &version()?);
+    let cases: HashSet<String> = todo.iter().map(|flight| flight.case.key()).collect();
     let mut table = Table::open(&arguments.out)?;
     if table.torn_bytes > 0 {
         eprintln!("sparrowhawk: {}: cut off an unfinished row", arguments.out.display());
     }
-    let cases: Vec<Case> = asked.iter().map(|todo| todo.case.clone()).collect();
-    let mut todo = Vec::new();
-    for flight in asked {
+    for flight in std::mem::take(&mut todo) {
         if !table.has(&flight.case, &flight.made_by)? {
             todo.push(flight);
         }
@@ -146,7 +166,7 @@ pub(crate) fn evaluate(arguments: &EvaluateArguments) -> Result<ExitCode, Box<dy
     let bar = progress(cases.len(), cases.len() - todo.len());
     fly_all(&todo, jobs, &stop, &mut table, &bar)?;
     bar.finish_and_clear();
-    let rows: Vec<Row> = table.rows.iter().filter(|row| cases.contains(&row.case())).cloned().collect();
+    let rows: Vec<&Row> = table.rows.iter().filter(|row| cases.contains(&row.case().key())).collect();
     print!("{}", digest(&rows));
     println!("table                  {}", arguments.out.display());
     if rows.len() < cases.len() {
@@ -169,13 +189,14 @@ fn progress(all: usize, done: usize) -> ProgressBar {
 
 /// Flies what is to be flown; stops when told, without the flights that are then in the air.
 fn fly_all(
-    todo: &[Todo],
+    todo: &[Todo<'_>],
     jobs: usize,
     stop: &AtomicBool,
     table: &mut Table,
     bar: &ProgressBar,
 ) -> Result<(), Box<dyn Error>> {
     let next = Mutex::new(todo.iter());
+    let already = table.rows.len();
     let table = Mutex::new((table, None));
     std::thread::scope(|scope| {
         for _ in 0..jobs {
@@ -186,27 +207,27 @@ fn fly_all(
                     let (table, failed) = &mut *table.lock().unwrap_or_else(PoisonError::into_inner);
                     if let Err(error) = table.add(row) {
                         // Nothing more can be kept.
-                        *failed = Some(error.to_string());
+                        *failed = Some(error);
                         stop.store(true, Ordering::Relaxed);
                     }
-                    bar.set_message(state(&table.rows));
+                    bar.set_message(state(&table.rows[already..]));
                     bar.inc(1);
                 }
             });
         }
     });
     let (_, failed) = table.into_inner().unwrap_or_else(PoisonError::into_inner);
-    failed.map_or(Ok(()), |problem| Err(format!("cannot write the table: {problem}").into()))
+    failed.map_or(Ok(()), |error| Err(error.into()))
 }
 
 fn state(rows: &[Row]) -> String {
     let count = |outcome| rows.iter().filter(|row| row.outcome == outcome).count();
-    format!("{} arrived, {} collided", count(Outcome::Arrived), count(Outcome::Collided))
+    format!("now: {} arrived, {} collided", count(Outcome::Arrived), count(Outcome::Collided))
 }
 
 /// A flight, unless it was interrupted.
-fn fly_one(todo: &Todo, stop: &AtomicBool) -> Option<Row> {
-    let mut flight = Flight::new(&todo.config, None);
+fn fly_one(todo: &Todo<'_>, stop: &AtomicBool) -> Option<Row> {
+    let mut flight = Flight::new(&todo.config(), None);
     let summary = flight.fly(|_| !stop.load(Ordering::Relaxed));
     let planning = flight.planning_times();
     (summary.outcome != Outcome::Interrupted).then(|| Row::new(&todo.case, &todo.made_by, &summary, planning))

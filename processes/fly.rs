@@ -25,7 +25,7 @@ use supervisor::{
 #[derive(Clone, Debug, Args)]
 pub(crate) struct FlyArguments {
     /// Flight: default, fast, or a file (RON); default if not given.
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "NAME|FILE")]
     pub(crate) config: Option<PathBuf>,
     /// World: forest, long_forest, field, wall, or a RON file.
     #[arg(long, value_name = "NAME|FILE")]

@@ -3,7 +3,8 @@
 mod common;
 
 use common::{Run, real_time};
-use std::process::Output;
+use std::process::{Output, Stdio};
+use std::time::{Duration, Instant};
 
 const OUT: &str = "table.csv";
 
@@ -37,18 +38,41 @@ fn a_campaign_goes_on_where_it_was() {
     for key in ["flight_time_s", "path_length_m", "max_speed_mps"] {
         assert_eq!(column(&two, key)[of_first].parse(), Ok(alone.number(key)), "{key}");
     }
-    // Killed in the middle of a row, and widened.
+    // Killed in the middle of a row, and widened; what is asked for twice is flown once.
     let mut text = std::fs::read_to_string(run.path(OUT)).expect("a table");
     text.push_str("default,field,4.0,tr");
     std::fs::write(run.path(OUT), text).expect("written");
-    let wider = evaluate(&run, &["--world", "field", "--seeds", "1..3", "--speed", "4"]);
-    assert!(wider.status.success());
+    let wider = evaluate(&run, &["--world", "field", "--seeds", "1..3", "--speed", "4,4"]);
+    assert!(wider.status.success(), "{}", String::from_utf8_lossy(&wider.stderr));
     assert!(String::from_utf8_lossy(&wider.stderr).contains("unfinished row"));
     let three = rows(&run);
     assert_eq!(three[..3], two[..], "what was flown is not flown again");
     assert_eq!(column(&three, "seed")[2], "3");
     let digest = String::from_utf8_lossy(&wider.stdout).into_owned();
     assert!(digest.contains("field") && digest.contains("100.0 %"), "{digest}");
+}
+
+#[test]
+fn an_interrupted_campaign_keeps_what_was_flown_and_says_so() {
+    let _alone = real_time();
+    let run = Run::new("interrupted");
+    let arguments = ["evaluate", "--out", OUT, "--world", "field", "--seeds", "1..500", "--speed", "4"];
+    let child = run.command(&arguments).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("starts");
+    let one_row = || std::fs::read_to_string(run.path(OUT)).is_ok_and(|text| text.lines().count() > 1);
+    let started = Instant::now();
+    while !one_row() {
+        assert!(started.elapsed() < Duration::from_secs(120), "no row");
+        std::thread::yield_now();
+    }
+    let pid = rustix::process::Pid::from_child(&child);
+    rustix::process::kill_process(pid, rustix::process::Signal::INT).expect("it runs");
+    let output = child.wait_with_output().expect("ends");
+    assert!(!output.status.success());
+    let message = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(message.contains("of 500 flights flown; the same command goes on"), "{message}");
+    let flown = rows(&run);
+    assert!((2..500).contains(&flown.len()), "{}", flown.len());
+    assert!(column(&flown, "outcome").iter().all(|outcome| outcome != "interrupted"));
 }
 
 #[test]

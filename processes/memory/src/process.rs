@@ -81,9 +81,10 @@ struct Lost {
 }
 
 /// Whether a message claims to be of the future: all that comes after it would be late. By its publisher's clock, for this
-/// process may have been stopped.
+/// process may have been stopped; a publisher that has not heard the flight's time yet has none.
 fn is_of_the_future(stamp: &Stamp) -> bool {
-    FlightTime::from_nanos(stamp.valid_ns).seconds_since(FlightTime::from_nanos(stamp.published_ns)) > AHEAD_S
+    stamp.published_ns > 0
+        && FlightTime::from_nanos(stamp.valid_ns).seconds_since(FlightTime::from_nanos(stamp.published_ns)) > AHEAD_S
 }
 
 impl MemoryProcess {

@@ -184,6 +184,17 @@ fn what_is_wrong_is_counted_and_leaves_the_graph_as_it_was() {
 }
 
 #[test]
+fn a_publisher_that_has_not_heard_the_flight_clock_is_believed() {
+    let mut bench = Bench::new(ImageStore::in_memory());
+    for (at_ms, is_image) in [(4995, false), (5000, true), (5005, false)] {
+        bench.early_ms = at_ms;
+        if is_image { bench.image(at_ms) } else { bench.state(at_ms, [0.0, 0.0, 2.0]) }
+    }
+    assert_eq!(bench.step().dropped, 0);
+    assert_eq!(bench.last().1.len(), 1);
+}
+
+#[test]
 fn a_pose_that_jumps_begins_the_map_anew() {
     let mut bench = Bench::new(ImageStore::in_memory());
     bench.fly(5);

@@ -59,7 +59,7 @@ struct Slot {
     wake_at: Option<FlightTime>,
     next_beat: FlightTime,
     steps: u64,
-    /// Host time of the steps that published, µs. It influences nothing.
+    /// Host time of the steps that had work, µs. It influences nothing.
     step_times_us: Histogram<u64>,
 }
 
@@ -142,7 +142,7 @@ impl Lockstep {
         self.now
     }
 
-    /// How long the steps of a process that published took on this machine, µs.
+    /// How long the steps of a process that had work took on this machine, µs.
     pub fn step_times_us(&self, process: ProcessId) -> Option<&Histogram<u64>> {
         self.slots.iter().find(|slot| slot.node.id() == process).map(|slot| &slot.step_times_us)
     }
