@@ -12,7 +12,7 @@ use supervisor::{LatencySummary, Outcome, Summary};
 const CONFIDENCE: f64 = 0.95;
 
 /// What tells one flight of a campaign from another.
-#[derive(Clone, Debug, PartialEq, PartialOrd, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Case {
     /// Flight file; `default` for the shipped one.
     pub(crate) config: String,
@@ -64,11 +64,11 @@ const COLUMNS: [&str; 23] = [
 /// One flight.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Row {
-    pub(crate) config: String,
-    pub(crate) world: String,
-    pub(crate) cruise_mps: f64,
-    pub(crate) avoidance: bool,
-    pub(crate) seed: u64,
+    config: String,
+    world: String,
+    cruise_mps: f64,
+    avoidance: bool,
+    seed: u64,
     pub(crate) outcome: Outcome,
     flight_time_s: f64,
     straight_line_m: f64,

@@ -174,6 +174,19 @@ impl FlightConfig {
         Ok(config)
     }
 
+    /// Reads a flight as [`FlightConfig::load`] does, for the simulator, whose images are rectified pairs.
+    ///
+    /// # Errors
+    /// As there; or the vehicle does not fly on pairs.
+    pub fn load_for_simulator(path: Option<&Path>, world: Option<&str>) -> Result<Self, Box<dyn std::error::Error>> {
+        let mut config = Self::load(path, world)?;
+        (config.vehicle.calibration, config.vehicle.camera) = (None, None);
+        match config.vehicle.source {
+            stereo_ingest::Source::Stereo => Ok(config),
+            source => Err(format!("vehicle.source is {source:?}, the simulator renders stereo pairs").into()),
+        }
+    }
+
     /// Reads a snapshot that [`FlightConfig::snapshot`] wrote.
     ///
     /// # Errors

@@ -16,7 +16,6 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
-use stereo_ingest::Source;
 use supervisor::Outcome;
 use xxhash_rust::xxh3::xxh3_64;
 
@@ -109,14 +108,7 @@ impl EvaluateArguments {
         world: Option<&str>,
         speed: Option<f64>,
     ) -> Result<(Case, FlightConfig), Box<dyn Error>> {
-        let mut config = FlightConfig::load(path, world)?;
-        // The simulator's images are rectified pairs.
-        (config.vehicle.calibration, config.vehicle.camera) = (None, None);
-        if config.vehicle.source != Source::Stereo {
-            return Err(
-                format!("vehicle.source is {:?}, the simulator renders stereo pairs", config.vehicle.source).into()
-            );
-        }
+        let mut config = FlightConfig::load_for_simulator(path, world)?;
         config.avoidance = !self.no_avoidance;
         config.mission.cruise_speed_mps = speed.unwrap_or(config.mission.cruise_speed_mps);
         config.check()?;

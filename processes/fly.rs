@@ -15,7 +15,6 @@ use std::error::Error;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use stereo_ingest::Source;
 use supervisor::{
     ATTENTION, ChildCommand, ChildStatus, Happening, LatencySummary, Losses, Mission, Outcome, ProcessSummary,
     SignalWatch, Summary, Supervision,
@@ -75,14 +74,7 @@ fn expected(text: &str) -> String {
 impl FlyArguments {
     /// The configuration with the command line's wishes, checked.
     fn configuration(&self) -> Result<FlightConfig, Box<dyn Error>> {
-        let mut config = FlightConfig::load(self.config.as_deref(), self.world.as_deref())?;
-        // The simulator's images are rectified pairs.
-        (config.vehicle.calibration, config.vehicle.camera) = (None, None);
-        if config.vehicle.source != Source::Stereo {
-            return Err(
-                format!("vehicle.source is {:?}, the simulator renders stereo pairs", config.vehicle.source).into()
-            );
-        }
+        let mut config = FlightConfig::load_for_simulator(self.config.as_deref(), self.world.as_deref())?;
         config.seed = self.seed;
         config.avoidance = !self.no_avoidance;
         config.record_images = self.record_images;
