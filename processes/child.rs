@@ -63,7 +63,7 @@ pub fn run(arguments: &ChildArguments) -> Result<(), Box<dyn Error>> {
         ProcessId::Memory => drive(graph::memory(&config), &run, rig, options)?,
         ProcessId::Planner => drive(graph::planner(&config), &run, rig, options)?,
         ProcessId::Controller => drive(graph::controller(&config), &run, rig, options)?,
-        ProcessId::Simulator => drive(SimulatorProcess::threaded(graph::simulator(&config)), &run, rig, options)?,
+        ProcessId::Simulator => drive(SimulatorProcess::threaded(graph::simulator(&config)?), &run, rig, options)?,
         ProcessId::Player => {
             let content = replay_input::content(&config.vehicle.source);
             let sequence = match arguments.play.is_empty() {

@@ -8,7 +8,7 @@ pub use crate::vehicle_config::VehicleConfig;
 use ipc_types::bounds::Bounds;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
-use simulator::WorldConfig;
+use simulator::{WorldConfig, WorldError};
 use std::fs;
 use std::path::{Path, PathBuf};
 use stereo_ingest::calibration::Rectifier;
@@ -37,6 +37,9 @@ pub enum ConfigError {
         /// What is wrong there.
         problem: String,
     },
+    /// A world's OctoMap file is none.
+    #[error(transparent)]
+    World(#[from] WorldError),
     /// Values out of range, or that do not fit each other.
     #[error("configuration has {} impossible value(s):\n  {}", .0.len(), .0.join("\n  "))]
     Impossible(Vec<String>),
@@ -121,6 +124,27 @@ impl Source {
     }
 }
 
+impl Source {
+    /// The world that was asked for, else the flight's own: a shipped one, a RON file or an OctoMap file.
+    fn world(&self, asked: Option<&str>, own: &str) -> Result<(String, WorldConfig), ConfigError> {
+        let place = asked.unwrap_or(own);
+        if Path::new(place).extension().is_some_and(|extension| extension == "bt") {
+            return Ok((place.to_owned(), FlightConfig::load_world(Path::new(place))?));
+        }
+        let (label, text) = match (asked.and_then(|name| shipped("worlds/", name)), asked) {
+            (Some(name), _) => Self::Shipped.read(&name)?,
+            (None, Some(path)) => (path.to_owned(), read_text(Path::new(path))?),
+            (None, None) => self.read(own)?,
+        };
+        let mut world: WorldConfig = parse(&label, &text)?;
+        let folder = Path::new(&label).parent().unwrap_or(Path::new(""));
+        // Absolute: the processes of a run may stand elsewhere.
+        let whole = |file: PathBuf| std::path::absolute(folder.join(&file)).unwrap_or(file);
+        world.octomap = world.octomap.map(whole);
+        Ok((label, world))
+    }
+}
+
 pub(crate) fn read_text(path: &Path) -> Result<String, ConfigError> {
     let io = |source| ConfigError::Io { path: path.display().to_string(), source };
     let size = fs::metadata(path).map_err(io)?.len();
@@ -159,12 +183,7 @@ impl FlightConfig {
         let file: FlightFile = parse(&label, &text)?;
         let (vehicle_path, text) = source.read(&file.vehicle)?;
         let vehicle: VehicleConfig = parse(&vehicle_path, &text)?;
-        let (world_path, text) = match (world.and_then(|name| shipped("worlds/", name)), world) {
-            (Some(name), _) => Source::Shipped.read(&name)?,
-            (None, Some(path)) => (path.to_owned(), read_text(Path::new(path))?),
-            (None, None) => source.read(&file.world)?,
-        };
-        let world = parse(&world_path, &text)?;
+        let (world_path, world) = source.world(world, &file.world)?;
         let (graph_path, text) = source.read(&file.graph)?;
         let graph = parse(&graph_path, &text)?;
         let config =
@@ -185,6 +204,16 @@ impl FlightConfig {
             stereo_ingest::Source::Stereo => Ok(config),
             source => Err(format!("vehicle.source is {source:?}, the simulator renders stereo pairs").into()),
         }
+    }
+
+    /// Reads an OctoMap file as a world.
+    ///
+    /// # Errors
+    /// It is none.
+    pub fn load_world(path: &Path) -> Result<WorldConfig, ConfigError> {
+        let path =
+            std::path::absolute(path).map_err(|source| ConfigError::Io { path: path.display().to_string(), source })?;
+        Ok(WorldConfig::of_octomap(&path)?)
     }
 
     /// Reads a snapshot that [`FlightConfig::snapshot`] wrote.
@@ -246,9 +275,10 @@ impl FlightConfig {
     /// Free-space evidence with a swept radius below what the slowest plan commits to: else the vehicle could creep,
     /// plan by plan, into what it has not seen.
     pub fn free_space(&self) -> memory::FreeSpaceRule {
-        let rule = self.vehicle.memory.free_space;
+        let (flown, home) = (self.vehicle.memory.free_space, self.mission.home);
         let least_m = self.vehicle.planner.least_commitment_m(self.mission.cruise_speed_mps);
-        memory::FreeSpaceRule { swept_radius_m: rule.swept_radius_m.min(0.9 * least_m), ..rule }
+        let swept_radius_m = flown.swept_radius_m.min(0.9 * least_m);
+        memory::FreeSpaceConfig { swept_radius_m, ..flown }.with_home(home.radius_m, home.height_m)
     }
 
     /// Range at which the noise is still small against the vehicle: σ_z = z²·σ/(f·b) + σ_m = radius, m.
@@ -294,34 +324,14 @@ impl FlightConfig {
         );
     }
 
-    /// Take-off place and climb against fence and home cylinder.
+    /// Take-off place against fence.
     fn check_places(&self, bounds: &mut Bounds) {
-        let (fence, start, height_m) = (self.mission.fence, self.mission.start_m, self.vehicle.planner.cruise_height_m);
-        bounds.require(
-            (fence.least_m[2]..fence.most_m[2]).contains(&height_m),
-            "vehicle.planner.cruise_height_m",
-            format_args!(
-                "is {height_m}, must be within the fence's heights, {}..{} m",
-                fence.least_m[2], fence.most_m[2]
-            ),
-        );
+        let (fence, start) = (self.mission.fence, self.mission.start_m);
         let is_inside = |axis: usize, place: f64| (fence.least_m[axis]..=fence.most_m[axis]).contains(&place);
         bounds.require(
             is_inside(0, start[0]) && is_inside(1, start[1]),
             "mission.start_m",
             format_args!("is {start:?}, must be inside the fence"),
-        );
-        let home_radius_m = self.vehicle.memory.free_space.home_radius_m;
-        bounds.require(
-            home_radius_m >= planner::AWAY_M,
-            "vehicle.memory.free_space.home_radius_m",
-            format_args!("is {home_radius_m}, must be at least {} m: take-off may drift so far", planner::AWAY_M),
-        );
-        let home_m = self.vehicle.memory.free_space.home_height_m;
-        bounds.require(
-            home_m >= height_m,
-            "vehicle.memory.free_space.home_height_m",
-            format_args!("is {home_m}, must be at least planner.cruise_height_m = {height_m}: take-off climbs there"),
         );
     }
 

@@ -7,6 +7,7 @@ use crate::campaign::{Case, MadeBy, Row, Table, digest};
 use crate::config::FlightConfig;
 use crate::graph::Flight;
 use crate::run_files::VERSION;
+use crate::trials::Trial;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use std::collections::HashSet;
@@ -37,6 +38,12 @@ pub(crate) struct EvaluateArguments {
     /// Seeds, first and last: 1..100 are a hundred. Of worlds and of all noise.
     #[arg(long, value_name = "FIRST..LAST", default_value = "1..10", value_parser = parse_seeds)]
     seeds: RangeInclusive<u64>,
+    /// Trials (CSV: trial, map, start x, y, z, goal x, y, z) instead of worlds; those whose numbers are among the seeds.
+    #[arg(long, value_name = "FILE", requires = "maps", conflicts_with = "world")]
+    trials: Option<PathBuf>,
+    /// Their maps (OctoMap .bt), with {} for what the table calls a map.
+    #[arg(long, value_name = "PATTERN", requires = "trials")]
+    maps: Option<String>,
     /// Fly without looking: shows what avoidance is worth.
     #[arg(long)]
     no_avoidance: bool,
@@ -57,15 +64,16 @@ fn parse_seeds(text: &str) -> Result<RangeInclusive<u64>, String> {
 }
 
 /// A flight to be flown: a combination with a seed.
-struct Todo<'a> {
+struct Todo {
     case: Case,
     made_by: MadeBy,
-    template: &'a FlightConfig,
+    config: FlightConfig,
 }
 
-impl Todo<'_> {
-    fn config(&self) -> FlightConfig {
-        FlightConfig { seed: self.case.seed, ..self.template.clone() }
+impl Todo {
+    fn new(case: Case, config: FlightConfig, version: &str) -> Self {
+        let configuration = format!("{:016x}", xxh3_64(config.snapshot().as_bytes()));
+        Self { case, made_by: MadeBy { configuration, version: version.to_owned() }, config }
     }
 }
 
@@ -91,14 +99,47 @@ impl EvaluateArguments {
     }
 
     /// All flights, seed by seed, so that comparisons grow evenly.
-    fn flights<'a>(&self, templates: &'a [(Case, FlightConfig)], version: &str) -> Vec<Todo<'a>> {
-        let with_seed = |seed: u64, (case, template): &'a (Case, FlightConfig)| {
-            let made_by = MadeBy { configuration: String::new(), version: version.to_owned() };
-            let mut todo = Todo { case: Case { seed, ..case.clone() }, made_by, template };
-            todo.made_by.configuration = format!("{:016x}", xxh3_64(todo.config().snapshot().as_bytes()));
-            todo
+    fn flights(&self, version: &str) -> Result<Vec<Todo>, Box<dyn Error>> {
+        let templates = self.templates()?;
+        if let (Some(trials), Some(maps)) = (&self.trials, &self.maps) {
+            return self.trials(&templates, &Trial::read(trials, maps)?, version);
+        }
+        let with_seed = |seed: u64, (case, template): &(Case, FlightConfig)| {
+            Todo::new(Case { seed, ..case.clone() }, FlightConfig { seed, ..template.clone() }, version)
         };
-        self.seeds.clone().flat_map(|seed| templates.iter().map(move |template| with_seed(seed, template))).collect()
+        let of_seed = |seed: u64| templates.iter().map(move |template| with_seed(seed, template));
+        Ok(self.seeds.clone().flat_map(of_seed).collect())
+    }
+
+    /// The trials whose numbers are among the seeds.
+    fn trials(
+        &self,
+        templates: &[(Case, FlightConfig)],
+        trials: &[Trial],
+        version: &str,
+    ) -> Result<Vec<Todo>, Box<dyn Error>> {
+        let mut todo = Vec::new();
+        for trial in trials.iter().filter(|trial| self.seeds.contains(&trial.number)) {
+            let world = FlightConfig::load_world(&trial.map)?;
+            for (case, template) in templates {
+                let flight = FlightConfig { world: world.clone(), ..template.clone() };
+                let case = Case { world: trial.map.display().to_string(), seed: trial.number, ..case.clone() };
+                let mut flight = Todo::new(case, trial.configure(&flight)?, version);
+                // A configuration names the map; another one of that name is another campaign.
+                flight.made_by.configuration.push_str(&format!("-{:016x}", xxh3_64(&std::fs::read(&trial.map)?)));
+                todo.push(flight);
+            }
+        }
+        let left_out = trials.iter().filter(|trial| !self.seeds.contains(&trial.number)).count();
+        if left_out > 0 {
+            eprintln!("sparrowhawk: {left_out} of {} trials have numbers outside --seeds", trials.len());
+        }
+        if todo.is_empty() {
+            return Err(
+                format!("--trials: none of {} has a number among --seeds {:?}", trials.len(), self.seeds).into()
+            );
+        }
+        Ok(todo)
     }
 
     /// A combination, of no seed yet.
@@ -139,8 +180,7 @@ fn version() -> Result<String, Box<dyn Error>> {
 
 /// Flies a campaign; the exit code says whether all of it was flown.
 pub(crate) fn evaluate(arguments: &EvaluateArguments) -> Result<ExitCode, Box<dyn Error>> {
-    let templates = arguments.templates()?;
-    let mut todo = arguments.flights(&templates, &version()?);
+    let mut todo = arguments.flights(&version()?)?;
     let cases: HashSet<String> = todo.iter().map(|flight| flight.case.key()).collect();
     let mut table = Table::open(&arguments.out)?;
     if table.torn_bytes > 0 {
@@ -181,7 +221,7 @@ fn progress(all: usize, done: usize) -> ProgressBar {
 
 /// Flies what is to be flown; stops when told, without the flights that are then in the air.
 fn fly_all(
-    todo: &[Todo<'_>],
+    todo: &[Todo],
     jobs: usize,
     stop: &AtomicBool,
     table: &mut Table,
@@ -195,10 +235,15 @@ fn fly_all(
             scope.spawn(|| {
                 while !stop.load(Ordering::Relaxed) {
                     let Some(flight) = next.lock().unwrap_or_else(PoisonError::into_inner).next() else { return };
-                    let Some(row) = fly_one(flight, stop) else { return };
+                    let flown = fly_one(flight, stop);
                     let (table, failed) = &mut *table.lock().unwrap_or_else(PoisonError::into_inner);
-                    if let Err(error) = table.add(row) {
-                        // Nothing more can be kept.
+                    let added = match flown {
+                        Ok(None) => return,
+                        Ok(Some(row)) => table.add(row).map_err(|error| error.to_string()),
+                        Err(error) => Err(error.to_string()),
+                    };
+                    if let Err(error) = added {
+                        // Nothing more can be flown, or kept.
                         *failed = Some(error);
                         stop.store(true, Ordering::Relaxed);
                     }
@@ -218,9 +263,10 @@ fn state(rows: &[Row]) -> String {
 }
 
 /// A flight, unless it was interrupted.
-fn fly_one(todo: &Todo<'_>, stop: &AtomicBool) -> Option<Row> {
-    let mut flight = Flight::new(&todo.config(), None);
+fn fly_one(todo: &Todo, stop: &AtomicBool) -> Result<Option<Row>, Box<dyn Error>> {
+    let mut flight = Flight::new(&todo.config, None)?;
     let summary = flight.fly(|_| !stop.load(Ordering::Relaxed));
     let planning = flight.planning_times();
-    (summary.outcome != Outcome::Interrupted).then(|| Row::new(&todo.case, &todo.made_by, &summary, planning))
+    let is_whole = summary.outcome != Outcome::Interrupted;
+    Ok(is_whole.then(|| Row::new(&todo.case, &todo.made_by, &summary, planning)))
 }

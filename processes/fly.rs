@@ -111,7 +111,7 @@ fn fly_in_lockstep(config: &FlightConfig, files: &RunFiles) -> Result<Summary, B
     let attachments = [(CONFIG, snapshot.as_str()), ("version.txt", VERSION)];
     let recorder = RecorderProcess::create(&files.log(), &attachments, config.record_images, &config.vehicle.rig)?;
     let mut display = Display::new(config.mission.goal());
-    let summary = Flight::new(config, Some(recorder)).fly(|mission| {
+    let summary = Flight::new(config, Some(recorder))?.fly(|mission| {
         display.show(mission, &[]);
         !stop.load(std::sync::atomic::Ordering::Relaxed)
     });

@@ -5,10 +5,10 @@ use controller::ControllerProcess;
 use expansion::{ExpansionProcess, Reach};
 use ipc_types::ProcessId;
 use memory::{MapModel, MemoryProcess};
-use planner::PlannerProcess;
+use planner::{PlannerProcess, TakeOff};
 use recorder::RecorderProcess;
 use runtime::lockstep::Lockstep;
-use simulator::{SimulatorSetup, World};
+use simulator::{SimulatorSetup, World, WorldError};
 use std::cell::RefCell;
 use std::rc::Rc;
 use std::sync::Arc;
@@ -38,7 +38,8 @@ pub fn expansion(config: &FlightConfig) -> ExpansionProcess {
 
 /// The memory process of a configuration.
 pub fn memory(config: &FlightConfig) -> MemoryProcess {
-    let memory = memory::Config { free_space: config.free_space(), ..config.vehicle.memory };
+    let mut memory = config.vehicle.memory;
+    memory.free_space.swept_radius_m = config.free_space().swept_radius_m;
     let (vehicle, expansion) = (&config.vehicle, &config.vehicle.expansion);
     MemoryProcess::new(expansion.layout(&vehicle.rig), expansion.radius_m, vehicle.mount, memory)
 }
@@ -55,12 +56,21 @@ pub fn map_model(vehicle: &VehicleConfig) -> MapModel {
     }
 }
 
+/// Share of the home cylinder's radius within which a vehicle takes off without asking a map, and at most, m: what it
+/// does there must end inside the cylinder.
+const TAKE_OFF_SHARE: f64 = 0.6;
+const TAKE_OFF_M: f64 = 1.0;
+
 /// The planner process of a configuration.
 pub fn planner(config: &FlightConfig) -> PlannerProcess {
     let (vehicle, mission) = (&config.vehicle, &config.mission);
     let rule = config.free_space();
-    let planner =
-        PlannerProcess::new(map_model(vehicle), rule, vehicle.planner.clone(), mission.fence, mission.start());
+    let take_off = TakeOff {
+        from: mission.start(),
+        radius_m: (TAKE_OFF_SHARE * mission.home.radius_m).min(TAKE_OFF_M),
+        height_m: mission.cruise_height_m,
+    };
+    let planner = PlannerProcess::new(map_model(vehicle), rule, vehicle.planner.clone(), mission.fence, take_off);
     if config.avoidance { planner } else { planner.without_avoidance() }
 }
 
@@ -70,21 +80,27 @@ pub fn controller(config: &FlightConfig) -> ControllerProcess {
 }
 
 /// The world of a configuration.
-pub fn world(config: &FlightConfig) -> World {
+///
+/// # Errors
+/// Its OctoMap file is none.
+pub fn world(config: &FlightConfig) -> Result<World, WorldError> {
     World::grow(&config.world, config.seed, &[config.mission.start(), config.mission.goal()])
 }
 
 /// What the simulator of a configuration is made from.
-pub fn simulator(config: &FlightConfig) -> SimulatorSetup {
-    SimulatorSetup {
+///
+/// # Errors
+/// There is no such world.
+pub fn simulator(config: &FlightConfig) -> Result<SimulatorSetup, WorldError> {
+    Ok(SimulatorSetup {
         config: config.vehicle.simulator,
         rig: config.vehicle.rig,
         mount: config.vehicle.mount,
-        world: Arc::new(world(config)),
+        world: Arc::new(world(config)?),
         start: config.mission.start(),
         start_yaw_rad: config.mission.start_heading_deg.to_radians(),
         seed: config.seed,
-    }
+    })
 }
 
 /// A whole flight in lockstep.
@@ -96,17 +112,20 @@ pub struct Flight {
 
 impl Flight {
     /// Connects the graph; records if given a recorder.
-    pub fn new(config: &FlightConfig, recorder: Option<RecorderProcess>) -> Self {
+    ///
+    /// # Errors
+    /// There is no world to fly in.
+    pub fn new(config: &FlightConfig, recorder: Option<RecorderProcess>) -> Result<Self, WorldError> {
         let mut lockstep = Lockstep::new(config.seed, config.graph.latency.clone());
         let mission = lockstep.add(Mission::new(config.mission));
-        lockstep.add(simulator::SimulatorProcess::inline(simulator(config)));
+        lockstep.add(simulator::SimulatorProcess::inline(simulator(config)?));
         lockstep.add(stereo_ingest(config));
         lockstep.add(expansion(config));
         lockstep.add(memory(config));
         lockstep.add(planner(config));
         lockstep.add(controller(config));
         recorder.map(|recorder| lockstep.add(recorder));
-        Self { lockstep, mission }
+        Ok(Self { lockstep, mission })
     }
 
     /// How long the planner's steps took on this machine.

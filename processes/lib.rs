@@ -34,6 +34,7 @@ mod replay_input;
 mod replay_report;
 mod run_files;
 mod stereo;
+mod trials;
 mod vehicle_config;
 pub mod voxels;
 

@@ -9,7 +9,7 @@ use ipc_types::bounds::Bounds;
 use ipc_types::messages::Layers;
 use ipc_types::noise::NoiseModel;
 use ipc_types::{FlightTime, Point, StereoRig, World};
-use memory::{DisparityGraph, FreeSpace, FreeSpaceRule, GraphRule, Inference, MapModel, Node, View};
+use memory::{DisparityGraph, FreeSpace, FreeSpaceConfig, GraphRule, Inference, MapModel, Node, View};
 use runtime::images::ImageStore;
 use std::error::Error;
 use std::path::PathBuf;
@@ -102,8 +102,7 @@ impl MapArguments {
         let noise =
             NoiseModel { sigma_px: self.sigma, sigma_m: 0.0, lambda_near: 3.0, lambda_far: 1.0, near_px, far_px };
         let rule = GraphRule { keyframes: self.keyframes, spacing_m: self.spacing, spacing_deg: self.turn };
-        let free_space =
-            FreeSpaceRule { home_radius_m: 0.0, home_height_m: 0.0, swept_radius_m: 0.0, background_parallax_m: 0.5 };
+        let free_space = FreeSpaceConfig { swept_radius_m: 0.0, background_parallax_m: 0.5 };
         let inference = self.log_odds.map_or(Inference::Confidence, |prior| Inference::LogOdds { prior });
         let memory = memory::Config { graph: rule, free_space, inference, forget_s: 1.0 };
         let mut bounds = Bounds::default();
@@ -139,7 +138,7 @@ impl MapArguments {
         }
         progress.finish_and_clear();
         let model = MapModel { rig, noise, layout, radius_m: self.radius, inference, forget_s: memory.forget_s };
-        let mut view = View::new(model, FreeSpace::new(free_space, Point::new(0.0, 0.0, -1e6)));
+        let mut view = View::new(model, FreeSpace::new(free_space.with_home(0.0, 0.0), Point::new(0.0, 0.0, -1e6)));
         for node in graph.nodes() {
             let image = images.get(node.image_id).ok_or("a keyframe's image is missing")?;
             view.push(node.world_from_camera, node.exposure, image);

@@ -343,7 +343,7 @@ impl Products {
     /// The map as a planner would see it.
     fn view(&self, config: &FlightConfig, ports: &mut IpcPorts) -> View {
         let vehicle = &config.vehicle;
-        let nowhere = FreeSpace::new(vehicle.memory.free_space, Point::new(0.0, 0.0, -1e6));
+        let nowhere = FreeSpace::new(vehicle.memory.free_space.with_home(0.0, 0.0), Point::new(0.0, 0.0, -1e6));
         let mut view = View::new(map_model(vehicle), nowhere);
         for keyframe in self.keyframes.iter().flat_map(|(_, keyframes)| keyframes) {
             if let (Some(pose), Some(image)) = (keyframe.world_from_camera(), ports.images().get(keyframe.image_id)) {

@@ -4,7 +4,7 @@ use expansion::Expander;
 use ipc_types::disparity::{decode, encode};
 use ipc_types::{Body, FlightTime, Point, Pose, Vector, World};
 use memory::{FreeSpace, View};
-use planner::{Planner, Situation};
+use planner::{Planner, Situation, TakeOff};
 use sparrowhawk::config::FlightConfig;
 use stats_alloc::{INSTRUMENTED_SYSTEM, Region, StatsAlloc};
 use std::alloc::System;
@@ -23,8 +23,10 @@ fn planning_allocates_nothing() {
     let config = FlightConfig::load(None, None).expect("loads");
     let vehicle = &config.vehicle;
     let rig = vehicle.rig;
-    let mut view =
-        View::new(sparrowhawk::graph::map_model(vehicle), FreeSpace::new(vehicle.memory.free_space, Point::ZERO));
+    let mut view = View::new(
+        sparrowhawk::graph::map_model(vehicle),
+        FreeSpace::new(vehicle.memory.free_space.with_home(0.0, 0.0), Point::ZERO),
+    );
     // A wall far ahead, seen from the way to where the vehicle is.
     let value = |depth_m: f64| encode(rig.disparity_px(depth_m) as f32);
     let layout = vehicle.expansion.layout(&rig);
@@ -36,7 +38,8 @@ fn planning_allocates_nothing() {
         let exposure = FlightTime::from_nanos(80_000_000 * i64::from(metre as u32));
         assert!(view.push(body * vehicle.mount.body_from_camera(), exposure, cells.clone().into()));
     }
-    let mut planner = Planner::new(vehicle.planner.clone(), config.mission.fence, Point::ZERO);
+    let take_off = TakeOff { from: Point::ZERO, radius_m: 1.0, height_m: 2.0 };
+    let mut planner = Planner::new(vehicle.planner.clone(), config.mission.fence, take_off);
     let mut step = |tick: i64| {
         let now = FlightTime::from_nanos(80_000_000 * tick);
         let position = Point::new(6.0 + 0.2 * tick as f64, 0.0, 2.0);

@@ -36,18 +36,18 @@ fn configurations_that_cannot_be() {
     let cases = [
         (
             "default.ron",
-            "cruise_speed_mps: 4.5",
+            "cruise_speed_mps: 5.0",
             "cruise_speed_mps: NaN",
             vec!["mission.cruise_speed_mps", "NaN", "0.2 to 20"],
         ),
-        ("default.ron", "cruise_speed_mps: 4.5", "cruise_speed_mps: 15.0", vec!["cruise_speed_mps", "stopping takes"]),
+        ("default.ron", "cruise_speed_mps: 5.0", "cruise_speed_mps: 15.0", vec!["cruise_speed_mps", "stopping takes"]),
         ("default.ron", "mission: (", "mision: (", vec!["default.ron:", "mision"]),
         ("default.ron", "scout.ron", "absent.ron", vec!["absent.ron", "No such file"]),
         ("vehicles/scout.ron", "sigma_px: 0.4", "sigma_px: -1.0", vec!["scout.ron", "noise.sigma_px", "-1"]),
         ("vehicles/scout.ron", "radius_m: 0.65", "radius_m: 0.3", vec!["scout.ron", "expansion.radius_m", "hull"]),
         ("vehicles/scout.ron", "braking_mps2: 4.0", "braking_mps2: 0.5", vec!["controller.braking_mps2", "0.5"]),
         ("default.ron", "start_m: (0.0, 0.0)", "start_m: (300.0, 0.0)", vec!["mission.start_m", "fence"]),
-        ("vehicles/scout.ron", "home_height_m: 3.0", "home_height_m: 1.0", vec!["home_height_m", "cruise_height_m"]),
+        ("default.ron", "height_m: 3.0", "height_m: 1.0", vec!["home.height_m", "cruise_height_m"]),
         ("vehicles/scout.ron", "rate_hz: 12.5", "rate_hz: 2.0", vec!["image_deadline_s", "interval"]),
         (
             "graphs/droan.ron",

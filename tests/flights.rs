@@ -24,7 +24,7 @@ fn configuration(world: Option<&str>, seed: u64) -> FlightConfig {
 }
 
 fn fly(config: &FlightConfig) -> Summary {
-    Flight::new(config, None).fly(|_| true)
+    Flight::new(config, None).expect("there is a world").fly(|_| true)
 }
 
 /// 30 forests of 0.05 trees/m², flown once for all tests that look at them.

@@ -74,7 +74,7 @@ fn few_thin_trunks_are_taken_for_far() {
     for seed in 101..=106 {
         let mut config = config.clone();
         config.seed = seed;
-        let world = Arc::new(graph::world(&config));
+        let world = Arc::new(graph::world(&config).expect("no file"));
         let mut camera = StereoCamera::new(Arc::clone(&world), rig, config.vehicle.simulator.camera, seed);
         for place in 0..8 {
             let body = Pose {

@@ -52,7 +52,7 @@ fn rendered(config: &FlightConfig) -> Vec<DisparityError> {
     for seed in 1..=3 {
         let mut config = config.clone();
         config.seed = seed;
-        let world = Arc::new(graph::world(&config));
+        let world = Arc::new(graph::world(&config).expect("no file"));
         let mut camera = StereoCamera::new(Arc::clone(&world), rig, config.vehicle.simulator.camera, seed);
         for place in 0..4 {
             let yaw = f64::from(place) * 1.3;

@@ -4,9 +4,31 @@ use ipc_types::bounds::Bounds;
 use ipc_types::{Point, World};
 use serde::{Deserialize, Serialize};
 
-/// Evidence of free space beside measured surfaces.
+/// Evidence of free space that the vehicle's flight gives.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
+pub struct FreeSpaceConfig {
+    /// As [`FreeSpaceRule::swept_radius_m`].
+    pub swept_radius_m: f64,
+    /// As [`FreeSpaceRule::background_parallax_m`].
+    pub background_parallax_m: f64,
+}
+
+impl FreeSpaceConfig {
+    /// The rule of a flight that begins in a cylinder declared free; both are zero where there is none.
+    pub fn with_home(self, home_radius_m: f64, home_height_m: f64) -> FreeSpaceRule {
+        let Self { swept_radius_m, background_parallax_m } = self;
+        FreeSpaceRule { home_radius_m, home_height_m, swept_radius_m, background_parallax_m }
+    }
+
+    pub(crate) fn check(&self, bounds: &mut Bounds) {
+        bounds.range("swept_radius_m", self.swept_radius_m, 0.0..=3.0);
+        bounds.range("background_parallax_m", self.background_parallax_m, 0.0..=5.0);
+    }
+}
+
+/// Evidence of free space beside measured surfaces.
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FreeSpaceRule {
     /// Radius of the cylinder around the take-off place that the operator declares free, m.
     pub home_radius_m: f64,
@@ -17,15 +39,6 @@ pub struct FreeSpaceRule {
     pub swept_radius_m: f64,
     /// Distance between two views that both see far background before it counts as free, m.
     pub background_parallax_m: f64,
-}
-
-impl FreeSpaceRule {
-    pub(crate) fn check(&self, bounds: &mut Bounds) {
-        bounds.range("home_radius_m", self.home_radius_m, 0.0..=20.0);
-        bounds.range("home_height_m", self.home_height_m, 0.0..=50.0);
-        bounds.range("swept_radius_m", self.swept_radius_m, 0.0..=3.0);
-        bounds.range("background_parallax_m", self.background_parallax_m, 0.0..=5.0);
-    }
 }
 
 /// Places of the path flown that share a box.

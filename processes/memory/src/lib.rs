@@ -22,7 +22,7 @@ mod votes;
 
 pub use along::{Demand, FINEST_M, Hit, TimedHit};
 pub use batch::{LengthsDiffer, Points, Scratch};
-pub use evidence::{FreeSpace, FreeSpaceRule};
+pub use evidence::{FreeSpace, FreeSpaceConfig, FreeSpaceRule};
 pub use graph::{DisparityGraph, GraphRule, Node, Place};
 pub use inference::{Inference, probability_mass};
 pub use process::MemoryProcess;
@@ -38,7 +38,7 @@ pub struct Config {
     /// Which frames become keyframes.
     pub graph: GraphRule,
     /// Free space beside measured surfaces.
-    pub free_space: FreeSpaceRule,
+    pub free_space: FreeSpaceConfig,
     /// How votes are weighed.
     pub inference: Inference,
     /// How long something must be seen free again to be forgotten, s.

@@ -3,9 +3,9 @@
 //! Images lie in the store that outlives it, and so does a record of the graph: a successor goes on with all keyframes but,
 //! at most, the one that was being taken.
 
+use crate::Config;
 use crate::graph::{DisparityGraph, GraphRule, Node};
 use crate::record::{self, LastState, RECORD_ID, describe};
-use crate::{Config, FreeSpaceRule};
 use ipc_types::messages::{ExpandedLayout, Keyframe, PathPoint};
 use ipc_types::pose_history::{PoseAt, PoseHistory};
 use ipc_types::rig::CameraMount;
@@ -44,7 +44,7 @@ pub struct MemoryProcess {
     /// The newest image, whose exposure is still later than the newest state.
     pending: Option<(u64, FlightTime)>,
     path: Vec<Point<World>>,
-    rule: FreeSpaceRule,
+    swept_radius_m: f64,
     started: bool,
     /// Whether a predecessor's graph is still to be published.
     is_restored: bool,
@@ -101,7 +101,7 @@ impl MemoryProcess {
             radius_m,
             pending: None,
             path: Vec::with_capacity(PATH_LENGTH),
-            rule: config.free_space,
+            swept_radius_m: config.free_space.swept_radius_m,
             started: false,
             is_restored: false,
             lost: Lost::default(),
@@ -173,7 +173,7 @@ impl MemoryProcess {
         let here = pose.origin();
         self.state = Some((at, here));
         self.states.push(at, pose);
-        if self.path.last().is_none_or(|last| last.distance(here) >= PATH_SPACING_M.min(self.rule.swept_radius_m)) {
+        if self.path.last().is_none_or(|last| last.distance(here) >= PATH_SPACING_M.min(self.swept_radius_m)) {
             if self.path.len() == PATH_LENGTH {
                 self.path.remove(0);
             }

@@ -5,7 +5,7 @@ use ipc_types::rig::CameraMount;
 use ipc_types::topics::{Expanded, Keyframes, State, Topic};
 use ipc_types::wire::Header;
 use ipc_types::{FlightTime, StereoRig};
-use memory::{Config, FreeSpaceRule, GraphRule, Inference, MemoryProcess};
+use memory::{Config, FreeSpaceConfig, GraphRule, Inference, MemoryProcess};
 use runtime::images::ImageStore;
 use runtime::{Message, Ports, Process, Report};
 use std::any::Any;
@@ -76,12 +76,7 @@ impl Bench {
     fn new(images: ImageStore) -> Self {
         let config = Config {
             graph: GraphRule { keyframes: 6, spacing_m: 1.0, spacing_deg: 30.0 },
-            free_space: FreeSpaceRule {
-                home_radius_m: 1.0,
-                home_height_m: 2.0,
-                swept_radius_m: 0.5,
-                background_parallax_m: 0.5,
-            },
+            free_space: FreeSpaceConfig { swept_radius_m: 0.5, background_parallax_m: 0.5 },
             inference: Inference::Confidence,
             forget_s: 1.0,
         };

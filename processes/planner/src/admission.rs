@@ -176,7 +176,7 @@ impl Admission<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::planner::tests::{FENCE, RIG, config, home_only};
+    use crate::fixtures::{FENCE, RIG, config, home_only};
     use crate::rollout::Target;
     use ipc_types::{Body, FlightTime, Pose, Rotation, Vector};
 

@@ -86,7 +86,7 @@ impl Draft {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::planner::tests::config;
+    use crate::fixtures::config;
 
     #[test]
     fn at_rest_a_place_is_held_and_not_given_up_bit_by_bit() {

@@ -13,12 +13,10 @@ use std::collections::BinaryHeap;
 
 /// Side of a cell, m.
 const CELL_M: f64 = 0.4;
-/// Cells to every side of the vehicle's.
-const HALF: i64 = 25;
-/// Cells along a side of the grid.
-const SIDE: usize = 2 * HALF as usize + 1;
-/// Cells along a side of what is remembered, which wraps around.
+/// Cells along a side of what is remembered, which wraps around: more than the grid's.
 const REMEMBERED: usize = 160;
+/// How near to something occupied a cell is dear, cells.
+const CLEARANCE: usize = 2;
 /// Price of a cell that was occupied when last seen, relative to a free one.
 const ONCE_OCCUPIED: f32 = 5.0;
 
@@ -32,11 +30,15 @@ struct Memory {
 /// Cost-to-go around the vehicle.
 #[derive(Clone, Debug)]
 pub(crate) struct Field {
+    /// Cells to every side of the vehicle's.
+    half: i64,
     first: (i64, i64),
     /// Centres of the cells: x, y and z, m; and what the map says of them.
     places: [Vec<f64>; 3],
     seen: Vec<Occupancy>,
     scratch: Scratch,
+    /// How near something occupied is: 0 where nothing is.
+    beside: Vec<u8>,
     /// Price of crossing a cell relative to a free one; infinite where closed.
     price: Vec<f32>,
     /// Length of the way to the goal, m.
@@ -46,13 +48,17 @@ pub(crate) struct Field {
 }
 
 impl Field {
-    pub(crate) fn new() -> Self {
-        let cells = SIDE * SIDE;
+    /// A grid that reaches so far to every side of the vehicle, m.
+    pub(crate) fn new(reach_m: f64) -> Self {
+        let half = (reach_m / CELL_M).round().clamp(1.0, REMEMBERED as f64 / 2.0 - 1.0) as i64;
+        let cells = (2 * half as usize + 1).pow(2);
         Self {
+            half,
             first: (0, 0),
             places: [0; 3].map(|_| vec![0.0; cells]),
             seen: vec![Occupancy::Unknown(Unknown::OutOfView); cells],
             scratch: Scratch::default(),
+            beside: vec![0; cells],
             price: vec![1.0; cells],
             to_goal_m: vec![f32::INFINITY; cells],
             queue: BinaryHeap::with_capacity(9 * cells),
@@ -63,7 +69,7 @@ impl Field {
     /// Asks the map anew around `at`, at its height.
     pub(crate) fn update(&mut self, view: &View, fence: &Fence, at: Point<World>, goal: Point<World>, ask: Ask) {
         let (x, y) = cell_of(at);
-        self.first = (x - HALF, y - HALF);
+        self.first = (x - self.half, y - self.half);
         for index in 0..self.price.len() {
             let place = centre(self.cell(index), at.z);
             (self.places[0][index], self.places[1][index], self.places[2][index]) = (place.x, place.y, place.z);
@@ -78,11 +84,37 @@ impl Field {
                 f32::INFINITY
             };
         }
+        self.keep_off(ask.clearance_price);
         self.spread(goal);
     }
 
+    /// Cells beside something occupied are dear: gaps that one barely fits through are flown slowly, if at all.
+    fn keep_off(&mut self, clearance_price: f32) {
+        let side = self.side();
+        self.beside.fill(0);
+        for index in (0..self.price.len()).filter(|&index| self.seen[index] == Occupancy::Occupied) {
+            let (column, row) = (index % side, index / side);
+            let around = |at: usize| at.saturating_sub(CLEARANCE)..=(at + CLEARANCE).min(side - 1);
+            for other_row in around(row) {
+                for other in around(column) {
+                    let steps = other.abs_diff(column).max(other_row.abs_diff(row));
+                    let beside = &mut self.beside[other_row * side + other];
+                    *beside = (*beside).max((CLEARANCE + 1 - steps) as u8);
+                }
+            }
+        }
+        for (price, &beside) in self.price.iter_mut().zip(&self.beside) {
+            *price += clearance_price * f32::from(beside) / CLEARANCE as f32;
+        }
+    }
+
+    /// Cells along a side.
+    fn side(&self) -> usize {
+        2 * self.half as usize + 1
+    }
+
     fn cell(&self, index: usize) -> (i64, i64) {
-        (self.first.0 + (index % SIDE) as i64, self.first.1 + (index / SIDE) as i64)
+        (self.first.0 + (index % self.side()) as i64, self.first.1 + (index / self.side()) as i64)
     }
 
     fn price_of(&mut self, cell: (i64, i64), seen: Occupancy, unknown_price: f32) -> f32 {
@@ -107,10 +139,10 @@ impl Field {
     fn spread(&mut self, goal: Point<World>) {
         self.to_goal_m.fill(f32::INFINITY);
         self.queue.clear();
-        let goal_cell = cell_of(goal);
+        let (goal_cell, side) = (cell_of(goal), self.side());
         for index in 0..self.price.len() {
-            let (column, row) = (index % SIDE, index / SIDE);
-            let is_rim = column == 0 || row == 0 || column == SIDE - 1 || row == SIDE - 1;
+            let (column, row) = (index % side, index / side);
+            let is_rim = column == 0 || row == 0 || column == side - 1 || row == side - 1;
             let cell = self.cell(index);
             if cell == goal_cell || (is_rim && self.price[index].is_finite()) {
                 self.reach(index, centre(cell, goal.z).distance(goal) as f32);
@@ -121,13 +153,20 @@ impl Field {
             if so_far_m > self.to_goal_m[index] {
                 continue;
             }
-            let (column, row) = ((index % SIDE) as i64, (index / SIDE) as i64);
+            let (column, row) = ((index % side) as i64, (index / side) as i64);
             for (right, down) in [(1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (1, -1), (-1, 1), (-1, -1)] {
                 let (column, row) = (column + right, row + down);
-                if column < 0 || row < 0 || column >= SIDE as i64 || row >= SIDE as i64 {
+                if column < 0 || row < 0 || column >= side as i64 || row >= side as i64 {
                     continue;
                 }
-                let next = row as usize * SIDE + column as usize;
+                let next = row as usize * side + column as usize;
+                // No way leads between two closed cells that touch by their corners.
+                let corners = [(column - right, row), (column, row - down)];
+                let is_closed =
+                    |&(column, row): &(i64, i64)| self.price[row as usize * side + column as usize].is_infinite();
+                if right * down != 0 && corners.iter().all(is_closed) {
+                    continue;
+                }
                 // The goal's own cell may be closed; it still counts from there.
                 let here = if self.price[index].is_finite() { self.price[index] } else { 1.0 };
                 let step_m = CELL_M as f32 * if right * down == 0 { 1.0 } else { std::f32::consts::SQRT_2 };
@@ -147,12 +186,12 @@ impl Field {
     /// Length of the way from a point to the goal, m, or more; infinite where the grid knows none.
     pub(crate) fn to_goal_m(&self, point: Point<World>) -> f64 {
         let (x, y) = cell_of(point);
-        let mut least = f64::INFINITY;
+        let (side, mut least) = (self.side(), f64::INFINITY);
         for (right, down) in (-1..=1).flat_map(|right| (-1..=1).map(move |down| (right, down))) {
             // What lies beyond the grid is reached straight from its rim.
-            let inside = |value: i64| value.clamp(0, SIDE as i64 - 1);
+            let inside = |value: i64| value.clamp(0, side as i64 - 1);
             let (column, row) = (inside(x + right - self.first.0), inside(y + down - self.first.1));
-            let index = row as usize * SIDE + column as usize;
+            let index = row as usize * side + column as usize;
             let to_goal_m = f64::from(self.to_goal_m[index]);
             least = least.min(to_goal_m + centre(self.cell(index), point.z).distance(point));
         }
@@ -167,6 +206,8 @@ pub(crate) struct Ask {
     pub(crate) threshold: f32,
     /// What an unknown metre costs beyond a free one.
     pub(crate) unknown_price: f32,
+    /// What a metre right beside something occupied costs beyond a free one.
+    pub(crate) clearance_price: f32,
 }
 
 fn cell_of(point: Point<World>) -> (i64, i64) {
@@ -182,15 +223,15 @@ fn centre(cell: (i64, i64), z: f64) -> Point<World> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::planner::tests::{FENCE, home_only};
+    use crate::fixtures::{FENCE, home_only};
 
-    const ASK: Ask = Ask { threshold: 0.9, unknown_price: 0.3 };
+    const ASK: Ask = Ask { threshold: 0.9, unknown_price: 0.3, clearance_price: 0.0 };
     const GOAL: Point<World> = Point::new(40.0, 0.0, 2.0);
     const AT: Point<World> = Point::new(0.0, 0.0, 2.0);
 
     #[test]
     fn it_is_the_straight_distance_where_all_is_free() {
-        let mut field = Field::new();
+        let mut field = Field::new(10.0);
         field.update(&home_only(200.0), &FENCE, AT, GOAL, ASK);
         for point in [AT, Point::new(5.0, 3.0, 2.0), Point::new(-4.0, -6.0, 2.0)] {
             let (found, straight) = (field.to_goal_m(point), point.distance(GOAL));
@@ -202,7 +243,7 @@ mod tests {
 
     #[test]
     fn unknown_space_is_dear_and_a_closed_rim_dearer() {
-        let mut field = Field::new();
+        let mut field = Field::new(10.0);
         field.update(&home_only(3.0), &FENCE, AT, GOAL, ASK);
         let known = field.to_goal_m(AT);
         assert!(known > 40.0 + 0.2 * (10.0 - 3.0), "{known}");
@@ -213,7 +254,7 @@ mod tests {
 
     #[test]
     fn what_was_occupied_stays_dear_and_hostile_points_are_far() {
-        let mut field = Field::new();
+        let mut field = Field::new(10.0);
         let cell = cell_of(Point::new(2.0, 0.0, 2.0));
         assert!(field.price_of(cell, Occupancy::Occupied, 0.3).is_infinite());
         let unknown = Occupancy::Unknown(memory::Unknown::OutOfView);

@@ -93,7 +93,7 @@ pub(crate) fn is_seen(heading_rad: f64, yaw_rad: f64, half_view_rad: f64) -> boo
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::planner::tests::situation;
+    use crate::fixtures::situation;
     use ipc_types::Vector;
 
     const HALF_VIEW_RAD: f64 = 0.6;

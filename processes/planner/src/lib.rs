@@ -13,21 +13,28 @@
 //! Effort is bounded by the number of candidates and samples, never by time.
 
 mod admission;
+mod choice;
 mod draft;
 mod field;
+#[cfg(test)]
+mod fixtures;
 mod gaze;
+mod guide;
 mod library;
+mod map_space;
 mod planner;
 mod process;
 mod rollout;
+pub mod route;
 mod situation;
 mod stuck;
 
 pub use admission::Tally;
-pub use planner::{AWAY_M, Plan, Planner};
+pub use planner::{Plan, Planner, TakeOff};
 pub use process::PlannerProcess;
 pub use situation::Situation;
 
+use crate::route::{Limits, SearchConfig};
 use ipc_types::bounds::Bounds;
 use serde::{Deserialize, Serialize};
 
@@ -61,18 +68,20 @@ pub struct Config {
     pub acceleration_mps2: f64,
     /// Deceleration of the candidates, m/s².
     pub braking_mps2: f64,
+    /// Change of acceleration along a timed path, m/s³.
+    pub jerk_mps3: f64,
     /// Deceleration of a stop for want of an admissible plan, m/s².
     pub hard_braking_mps2: f64,
     /// How far from a candidate's start an occupied stretch may reach that leads out of a margin the vehicle is in, m.
     pub escape_m: f64,
     /// Speed of take-off, m/s.
     pub take_off_mps: f64,
-    /// Height above the take-off place to fly at, m.
-    pub cruise_height_m: f64,
     /// Turn rate of the planned heading, degrees/s.
     pub yaw_rate_degps: f64,
     /// Price of a metre of the candidate that is unknown, m.
     pub unknown_price: f64,
+    /// Price of a metre right beside something occupied, m.
+    pub clearance_price: f64,
     /// Price of a metre off the cruise height, m.
     pub height_price: f64,
     /// How much cheaper a new plan must be than the one being flown, m.
@@ -85,6 +94,20 @@ pub struct Config {
     pub back_out_m: f64,
     /// Rounds of looking around and backing out before giving up.
     pub attempts: u32,
+    /// How far the grid of the cost-to-go reaches to every side, m.
+    pub field_reach_m: f64,
+    /// The search for a way to the goal.
+    pub route: RouteConfig,
+}
+
+/// The search for a way to the goal, at every plan.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RouteConfig {
+    /// Segments asked about per plan; 0 does without.
+    pub segments: u32,
+    /// How BIT* goes about it.
+    pub search: SearchConfig,
 }
 
 impl Config {
@@ -93,7 +116,7 @@ impl Config {
 
     /// Number of candidates of the library.
     pub fn candidates(&self) -> usize {
-        library::size(self)
+        library::Library::new(self).size()
     }
 
     /// Reports values out of range.
@@ -126,18 +149,35 @@ impl Config {
         bounds.range("sample_m", self.sample_m, 0.02..=1.0);
         bounds.range("acceleration_mps2", self.acceleration_mps2, 0.2..=20.0);
         bounds.range("braking_mps2", self.braking_mps2, 0.2..=20.0);
+        bounds.range("jerk_mps3", self.jerk_mps3, 1.0..=1000.0);
         bounds.range("hard_braking_mps2", self.hard_braking_mps2, self.braking_mps2.max(0.2)..=20.0);
         bounds.range("escape_m", self.escape_m, 0.0..=2.0);
         bounds.range("take_off_mps", self.take_off_mps, 0.1..=5.0);
-        bounds.range("cruise_height_m", self.cruise_height_m, 0.5..=100.0);
         bounds.range("yaw_rate_degps", self.yaw_rate_degps, 1.0..=360.0);
         bounds.range("unknown_price", self.unknown_price, 0.0..=100.0);
+        bounds.range("clearance_price", self.clearance_price, 0.0..=100.0);
         bounds.range("height_price", self.height_price, 0.0..=100.0);
         bounds.range("hysteresis_m", self.hysteresis_m, 0.0..=10.0);
         bounds.range("look_price_m", self.look_price_m, 0.0..=100.0);
         bounds.range("patience_s", self.patience_s, 0.1..=30.0);
         bounds.range("back_out_m", self.back_out_m, 0.5..=50.0);
         bounds.range("attempts", self.attempts, 0..=100);
+        bounds.range("field_reach_m", self.field_reach_m, 2.0..=30.0);
+        bounds.section("route", |bounds| {
+            bounds.range("segments", self.route.segments, 0..=100_000);
+            bounds.section("search", |bounds| self.route.search.check(bounds));
+        });
+    }
+
+    /// What a path is timed within, at a speed.
+    fn limits(&self, speed_mps: f64) -> Limits {
+        Limits {
+            speed_mps,
+            acceleration_mps2: self.acceleration_mps2,
+            braking_mps2: self.braking_mps2,
+            lateral_mps2: self.acceleration_mps2,
+            jerk_mps3: self.jerk_mps3,
+        }
     }
 
     /// Distance that the slowest candidate commits to from rest, braking included, m.

@@ -1,42 +1,62 @@
-//! The candidates: straight for the goal, and a fan of velocities around its direction.
+//! The candidates: straight for the goal, along the path to it, and a fan of velocities around its direction.
 
 use crate::Config;
 use crate::rollout::Target;
+use crate::route::Timed;
 use ipc_types::{Point, Vector, World};
 
 /// How a candidate is named from one plan to the next: its place in the library.
 pub(crate) type Index = usize;
 
-/// Number of candidates.
-pub(crate) fn size(config: &Config) -> usize {
-    let both_sides = |angles: &[f64]| angles.iter().map(|&angle| if angle == 0.0 { 1 } else { 2 }).sum::<usize>();
-    config.speed_shares.len() * (1 + both_sides(&config.headings_deg) * both_sides(&config.climbs_deg))
+/// Candidates of a speed that are no velocity: straight for the goal, and along the path.
+const AIMED: usize = 2;
+
+/// What candidates are relative to.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Aim<'a> {
+    pub(crate) from: Point<World>,
+    pub(crate) goal: Point<World>,
+    /// Highest speed, m/s.
+    pub(crate) speed_mps: f64,
+    /// A timed path to the goal.
+    pub(crate) path: &'a [Timed],
 }
 
-/// Calls `each` with every candidate, in a fixed order.
-pub(crate) fn for_each(
-    config: &Config,
-    from: Point<World>,
-    goal: Point<World>,
-    speed_mps: f64,
-    mut each: impl FnMut(Index, Target),
-) {
-    let offset = goal - from;
-    let heading = offset.y.atan2(offset.x);
-    let slope = offset.z.atan2(offset.horizontal_norm()).clamp(-0.6, 0.6);
-    let mut index = 0;
-    for share in &config.speed_shares {
-        let speed = speed_mps * share;
-        each(index, Target::Place(goal, speed));
-        index += 1;
-        for turn in both_sides(&config.headings_deg) {
-            for climb in both_sides(&config.climbs_deg) {
-                // Level candidates aim at the goal's height, slanted ones are relative to level flight.
-                let pitch = if climb == 0.0 { slope } else { climb };
-                let (azimuth, level) = (heading + turn, speed * pitch.cos());
-                let velocity = Vector::new(level * azimuth.cos(), level * azimuth.sin(), speed * pitch.sin());
-                each(index, Target::Velocity(velocity));
-                index += 1;
+/// The library, made once.
+#[derive(Clone, Debug)]
+pub(crate) struct Library {
+    speed_shares: Vec<f64>,
+    /// Azimuth from the goal's direction and climb, rad; the climb is from level flight, or none for the goal's slope.
+    directions: Vec<(f64, Option<f64>)>,
+}
+
+impl Library {
+    pub(crate) fn new(config: &Config) -> Self {
+        let climbs: Vec<_> = both_sides(&config.climbs_deg).map(|climb| (climb != 0.0).then_some(climb)).collect();
+        let turns = both_sides(&config.headings_deg);
+        let directions = turns.flat_map(|turn| climbs.iter().map(move |&climb| (turn, climb)).collect::<Vec<_>>());
+        Self { speed_shares: config.speed_shares.clone(), directions: directions.collect() }
+    }
+
+    /// Number of candidates.
+    pub(crate) fn size(&self) -> usize {
+        self.speed_shares.len() * (AIMED + self.directions.len())
+    }
+
+    /// A candidate.
+    pub(crate) fn target<'a>(&self, index: Index, aim: &Aim<'a>) -> Target<'a> {
+        let of_speed = AIMED + self.directions.len();
+        let speed = aim.speed_mps * self.speed_shares[index / of_speed];
+        let offset = aim.goal - aim.from;
+        match index % of_speed {
+            0 => Target::Place(aim.goal, speed),
+            1 => Target::Along(aim.path, speed),
+            other => {
+                let (turn, climb) = self.directions[other - AIMED];
+                let slope = offset.z.atan2(offset.horizontal_norm()).clamp(-0.6, 0.6);
+                let (azimuth, pitch) = (offset.y.atan2(offset.x) + turn, climb.unwrap_or(slope));
+                let level = speed * pitch.cos();
+                Target::Velocity(Vector::new(level * azimuth.cos(), level * azimuth.sin(), speed * pitch.sin()))
             }
         }
     }
@@ -53,18 +73,18 @@ fn both_sides(angles_deg: &[f64]) -> impl Iterator<Item = f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::planner::tests::config;
+    use crate::fixtures::config;
 
     #[test]
-    fn the_library_has_its_size_and_no_duplicates() {
-        let config = config();
+    fn the_library_has_no_duplicates() {
+        let library = Library::new(&config());
+        let aim = Aim { from: Point::ZERO, goal: Point::new(50.0, 10.0, 0.0), speed_mps: 4.0, path: &[] };
         let mut targets = Vec::new();
-        for_each(&config, Point::ZERO, Point::new(50.0, 10.0, 0.0), 4.0, |index, target| {
-            assert_eq!(index, targets.len());
+        for index in 0..library.size() {
+            let target = library.target(index, &aim);
             assert!(!targets.contains(&target), "{target:?} twice");
             targets.push(target);
-        });
-        assert_eq!(targets.len(), size(&config));
+        }
         assert!(targets.len() > 100);
     }
 }

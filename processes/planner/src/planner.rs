@@ -2,10 +2,12 @@
 
 use crate::Config;
 use crate::admission::{Admission, Tally};
+use crate::choice::{Course, Priced, Prices};
 use crate::draft::Draft;
 use crate::field::{Ask, Field};
-use crate::gaze::{Gaze, LOOKS, is_seen};
-use crate::library::{self, Index};
+use crate::gaze::Gaze;
+use crate::guide::Guide;
+use crate::library::{Aim, Index, Library};
 use crate::rollout::{Rollout, Sample, Target};
 use crate::situation::Situation;
 use crate::stuck::{Stage, Stuck};
@@ -14,6 +16,17 @@ use ipc_types::messages::{PlanMode, TrajectoryPoint};
 use ipc_types::{FlightTime, Point, Vector, World};
 use memory::View;
 use std::f64::consts::PI;
+
+/// The climb that a flight begins with.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TakeOff {
+    /// On the ground.
+    pub from: Point<World>,
+    /// Farther from its axis the vehicle is not taking off, m.
+    pub radius_m: f64,
+    /// How high it leads, above `from`, m: the height to fly at.
+    pub height_m: f64,
+}
 
 /// A plan, apart from its points ([`Planner::points`]).
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -26,30 +39,22 @@ pub struct Plan {
     pub tally: Tally,
 }
 
-/// What the cheapest candidate asks for.
-#[derive(Clone, Copy, Debug, PartialEq)]
-enum Course {
-    /// There is none.
-    None,
-    /// Fly it.
-    Go(Index),
-    /// Look along its heading, rad, before it may be flown.
-    Look(f64),
-}
-
 /// Plans trajectories. Keeps the plan being flown, so that flicker does not change it.
 #[derive(Clone, Debug)]
 pub struct Planner {
     config: Config,
     fence: Fence,
-    home: Point<World>,
+    take_off: TakeOff,
     airborne: bool,
     arrived: bool,
     goal: Option<Point<World>>,
     flying: Option<Index>,
     stuck: Stuck,
     gaze: Gaze,
+    library: Library,
+    priced: Vec<Priced>,
     field: Field,
+    guide: Guide,
     replans: u64,
     scratch: Rollout,
     draft: Draft,
@@ -59,8 +64,6 @@ pub struct Planner {
 const ARRIVED_M: f64 = 0.7;
 /// Distance at which a vehicle that had arrived sets out again, m.
 const LEFT_M: f64 = 1.0;
-/// Farther than this from the take-off place the vehicle is not taking off, m.
-pub const AWAY_M: f64 = 1.0;
 /// Speed of closing the last bit of the way, m/s.
 const SETTLE_MPS: f64 = 0.6;
 /// Speed of backing out, m/s.
@@ -69,30 +72,28 @@ const BACK_OUT_MPS: f64 = 1.0;
 const BACK_OUT_S: f64 = 20.0;
 /// Later than this a refusal ends it, s: before, the map may still change its mind.
 const REFUSED_S: f64 = 3.0;
-/// Slower than this the vehicle looks before it sets out to where it does not look, m/s.
-const LOOK_FIRST_MPS: f64 = 0.9;
-/// Price of a place from which no way to the goal is known, m.
-const NO_WAY_M: f64 = 20.0;
-/// Shortest move worth making, m: less is standing still.
-const WORTHWHILE_M: f64 = 0.3;
 
 impl Planner {
-    /// For a vehicle that takes off at `home`.
-    pub fn new(config: Config, fence: Fence, home: Point<World>) -> Self {
+    /// For a vehicle on the ground.
+    pub fn new(config: Config, fence: Fence, take_off: TakeOff) -> Self {
+        let library = Library::new(&config);
         Self {
-            config,
             fence,
-            home,
+            take_off,
             airborne: false,
             arrived: false,
             goal: None,
             flying: None,
             stuck: Stuck::new(),
             gaze: Gaze::new(),
-            field: Field::new(),
+            priced: Vec::with_capacity(library.size()),
+            library,
+            field: Field::new(config.field_reach_m),
+            guide: Guide::new(&config, fence),
             replans: 0,
             scratch: Rollout::new(),
             draft: Draft::new(),
+            config,
         }
     }
 
@@ -113,6 +114,7 @@ impl Planner {
             self.goal = Some(situation.goal);
             self.stuck.reset();
             self.gaze.reset();
+            self.guide.reset();
             // The library's candidates are named relative to the goal.
             self.flying = None;
             self.arrived = false;
@@ -148,6 +150,7 @@ impl Planner {
         }
         let path = self.way_flown(view);
         self.stuck.note_progress(situation.now, situation.position, to_goal_m, path, &self.config);
+        self.stuck.note_dwelling(situation.now, situation.position, situation.velocity.norm());
         if matches!(self.stuck.stage, Stage::BackingOut { .. }) {
             self.gaze.reset();
             self.brake(from, situation.yaw_rad);
@@ -178,12 +181,13 @@ impl Planner {
 
     /// Where take-off ends.
     fn top(&self) -> Point<World> {
-        Point::new(self.home.x, self.home.y, self.home.z + self.config.cruise_height_m)
+        self.take_off.from + Vector::new(0.0, 0.0, self.take_off.height_m)
     }
 
     /// Whether a place belongs to the climb of the take-off.
     fn is_take_off(&self, place: Point<World>) -> bool {
-        place.z < self.top().z - 0.3 && (place - self.home).horizontal_norm() <= AWAY_M
+        let away_m = (place - self.take_off.from).horizontal_norm();
+        place.z < self.top().z - 0.3 && away_m <= self.take_off.radius_m
     }
 
     /// The path flown since take-off, oldest first: what may be flown back.
@@ -197,56 +201,31 @@ impl Planner {
     ///
     /// A slow vehicle does not set out where its camera does not look: such a candidate is a wish to look there.
     fn choose(&mut self, from: Sample, situation: &Situation, view: &View) -> (Tally, Course) {
-        let (config, fence) = (&self.config, &self.fence);
-        let admission = Admission { view, fence, config };
-        let (goal, stuck, flying) = (situation.goal, &self.stuck, self.flying);
-        let ask = Ask { threshold: config.gamma_low, unknown_price: config.unknown_price as f32 };
-        self.field.update(view, fence, from.position, goal, ask);
-        let field = &self.field;
-        let (scratch, best, gaze) = (&mut self.scratch, &mut self.draft.rollout, &self.gaze);
-        let height = self.home.z + config.cruise_height_m;
-        let (mut tally, mut cheapest, mut course) = (Tally::default(), f64::INFINITY, Course::None);
-        let near_goal = from.position.distance(goal) < LEFT_M;
-        let looked = gaze.looks(situation);
-        let looks_first = situation.velocity.norm() < LOOK_FIRST_MPS && !near_goal;
-        // Every look from here makes turning away dearer, or the vehicle would never be done with looking.
-        let look_price_m = config.look_price_m * (1 + looked) as f64;
-        library::for_each(config, from.position, goal, situation.cruise_mps, |index, target| {
-            tally.candidates += 1;
-            let is_flying = flying == Some(index);
-            let threshold = if is_flying { config.gamma_high } else { config.gamma_low };
-            scratch.fill(from, target, config.horizon_s, config);
-            let end = scratch.end_of_going().position;
-            let way = end - from.position;
-            let stands_still = way.norm() < WORTHWHILE_M && !near_goal;
-            // The price from below, before the map is asked: most candidates cannot win.
-            let off_height = (end.z - height).abs() * config.height_price * f64::from(u8::from(!near_goal));
-            // Where the grid knows no way, far is better than nothing.
-            let to_goal_m = field.to_goal_m(end).min(NO_WAY_M + end.distance(goal));
-            let mut price = to_goal_m + off_height + stuck.price(end);
-            price -= if is_flying { config.hysteresis_m } else { 0.0 };
-            let heading_rad = way.y.atan2(way.x);
-            let turns = looks_first && !is_seen(heading_rad, situation.yaw_rad, view.half_view_rad());
-            let looks = turns && looked < LOOKS;
-            let is_promise = looks && !gaze.has_looked(heading_rad, situation, view.half_view_rad());
-            price += if turns { look_price_m } else { 0.0 };
-            if stands_still || price >= cheapest {
-                return;
-            }
-            let found = if is_promise {
-                admission.promises(scratch, threshold)
-            } else {
-                tally.count(admission.admit(scratch, threshold))
-            };
-            let Some(found) = found else {
-                return;
-            };
-            price += config.unknown_price * found.unknown_m;
-            if price < cheapest {
-                (cheapest, course) = (price, if looks { Course::Look(heading_rad) } else { Course::Go(index) });
-                std::mem::swap(scratch, best);
-            }
-        });
+        let (config, goal) = (&self.config, situation.goal);
+        let (unknown_price, clearance_price) = (config.unknown_price as f32, config.clearance_price as f32);
+        let ask = Ask { threshold: config.gamma_low, unknown_price, clearance_price };
+        self.field.update(view, &self.fence, from.position, goal, ask);
+        self.guide.update(view, from.position, goal, config);
+        self.guide.time(from.velocity.norm().min(situation.cruise_mps), &config.limits(situation.cruise_mps));
+        let prices = Prices {
+            config,
+            library: &self.library,
+            aim: Aim { from: from.position, goal, speed_mps: situation.cruise_mps, path: self.guide.timed() },
+            situation,
+            from,
+            field: &self.field,
+            guide: &self.guide,
+            stuck: &self.stuck,
+            gaze: &self.gaze,
+            flying: self.flying,
+            height_m: self.top().z,
+            near_goal: from.position.distance(goal) < LEFT_M,
+            half_view_rad: view.half_view_rad(),
+        };
+        let admission = Admission { view, fence: &self.fence, config };
+        let mut tally = Tally::default();
+        let rollouts = [&mut self.scratch, &mut self.draft.rollout];
+        let course = prices.choose(&admission, &mut self.priced, rollouts, &mut tally);
         let flies = if let Course::Go(index) = course { Some(index) } else { None };
         if flies.is_some() && flies != self.flying {
             self.replans += 1;
@@ -344,81 +323,14 @@ fn travel_heading(velocity: Vector<World>, situation: &Situation) -> f64 {
 }
 
 #[cfg(test)]
-pub(crate) mod tests {
+mod tests {
     use super::*;
-    use ipc_types::StereoRig;
-    use ipc_types::messages::{ExpandedLayout, Layers};
-    use ipc_types::noise::NoiseModel;
-    use memory::{FreeSpace, FreeSpaceRule, Inference, MapModel};
-
-    pub(crate) fn config() -> Config {
-        Config {
-            gamma_low: 0.9,
-            gamma_high: 1.8,
-            speed_shares: vec![1.0, 0.6, 0.3],
-            headings_deg: vec![0.0, 10.0, 20.0, 35.0, 50.0, 75.0, 100.0, 130.0],
-            climbs_deg: vec![0.0, 15.0],
-            horizon_s: 1.8,
-            commit_s: 0.5,
-            lead_s: 0.06,
-            state_deadline_s: 0.2,
-            image_deadline_s: 0.5,
-            sample_m: 0.15,
-            acceleration_mps2: 3.5,
-            braking_mps2: 3.5,
-            hard_braking_mps2: 5.0,
-            escape_m: 0.3,
-            take_off_mps: 1.2,
-            cruise_height_m: 2.0,
-            yaw_rate_degps: 90.0,
-            unknown_price: 0.3,
-            height_price: 0.5,
-            hysteresis_m: 0.6,
-            look_price_m: 0.5,
-            patience_s: 1.0,
-            back_out_m: 3.0,
-            attempts: 4,
-        }
-    }
-
-    pub(crate) const FENCE: Fence = Fence { least_m: [-20.0, -50.0, 0.5], most_m: [100.0, 50.0, 6.0] };
-
-    pub(crate) const RIG: StereoRig = StereoRig {
-        width_px: 32,
-        height_px: 24,
-        focal_px: 20.0,
-        cx_px: 15.5,
-        cy_px: 11.5,
-        baseline_m: 0.3,
-        doffs_px: 0.0,
-    };
-
-    /// A map that knows nothing beyond a home cylinder of the given radius.
-    pub(crate) fn home_only(radius_m: f64) -> View {
-        let rule = FreeSpaceRule {
-            home_radius_m: radius_m,
-            home_height_m: 10.0,
-            swept_radius_m: 0.5,
-            background_parallax_m: 0.5,
-        };
-        let noise =
-            NoiseModel { sigma_px: 0.5, sigma_m: 0.0, lambda_near: 3.0, lambda_far: 1.0, near_px: 10.0, far_px: 4.0 };
-        let layout = ExpandedLayout::new(&RIG, 0, Layers::Two);
-        let inference = Inference::Confidence;
-        let model = MapModel { rig: RIG, noise, layout, radius_m: 0.5, inference, forget_s: 1.0 };
-        View::new(model, FreeSpace::new(rule, Point::ZERO))
-    }
-
-    pub(crate) fn situation(now: f64, position: Point<World>, velocity: Vector<World>) -> Situation {
-        let now = FlightTime::from_secs_f64(now);
-        let goal = Point::new(60.0, 0.0, 2.0);
-        Situation { now, state_valid: now, image_valid: now, position, velocity, yaw_rad: 0.0, goal, cruise_mps: 4.0 }
-    }
+    use crate::fixtures::{FENCE, TAKE_OFF, config, home_only, situation};
 
     /// Follows the planner's own plans, ten a second.
     fn fly(view: &View, seconds: f64) -> (Point<World>, f64, Vec<PlanMode>) {
         // The plan is followed exactly and at once.
-        let mut planner = Planner::new(Config { lead_s: 0.0, ..config() }, FENCE, Point::ZERO);
+        let mut planner = Planner::new(Config { lead_s: 0.0, ..config() }, FENCE, TAKE_OFF);
         let (mut position, mut velocity, mut fastest, mut modes) = (Point::ZERO, Vector::ZERO, 0.0_f64, Vec::new());
         for tick in 0..(seconds * 10.0) as usize {
             let plan = planner.step(&situation(tick as f64 * 0.1, position, velocity), view);
@@ -448,7 +360,7 @@ pub(crate) mod tests {
             let fresh = situation(10.0, Point::new(0.0, 0.0, height_m), Vector::new(1.0, 0.0, 0.5));
             let early = FlightTime::from_secs_f64(9.0);
             for stale in [Situation { state_valid: early, ..fresh }, Situation { image_valid: early, ..fresh }] {
-                let mut planner = Planner::new(config(), FENCE, Point::ZERO);
+                let mut planner = Planner::new(config(), FENCE, TAKE_OFF);
                 assert_ne!(planner.step(&fresh, &view).mode, PlanMode::Hold);
                 assert_eq!(planner.step(&stale, &view).mode, PlanMode::Hold);
                 assert_eq!(planner.points().last().expect("points").velocity_mps, [0.0; 3]);
@@ -464,7 +376,7 @@ pub(crate) mod tests {
             let mut view = home_only(home_radius_m);
             // The swept volume alone must not carry it there.
             view.free_space_mut().set_path([Point::new(29.4, 0.0, 2.0)]);
-            let mut planner = Planner::new(config(), FENCE, Point::ZERO);
+            let mut planner = Planner::new(config(), FENCE, TAKE_OFF);
             assert_eq!(planner.step(&at, &view).mode, PlanMode::Arrived);
             let end = planner.points().last().expect("points").position_m[0];
             assert!((end - end_m).abs() < 0.1, "{end}");
@@ -486,7 +398,9 @@ pub(crate) mod tests {
 
     #[test]
     fn keeps_inside_the_fence() {
-        let mut planner = Planner::new(config(), Fence { most_m: [20.0, 50.0, 6.0], ..FENCE }, Point::ZERO);
+        // The plan is followed exactly and at once.
+        let config = Config { lead_s: 0.0, ..config() };
+        let mut planner = Planner::new(config, Fence { most_m: [20.0, 50.0, 6.0], ..FENCE }, TAKE_OFF);
         let view = home_only(200.0);
         let (mut position, mut velocity) = (Point::new(0.0, 0.0, 2.0), Vector::ZERO);
         for tick in 0..200 {

@@ -1,6 +1,6 @@
 //! The planner process: keyframes, flown path, state and goal in, trajectory out.
 
-use crate::{Config, Planner, Situation};
+use crate::{Config, Planner, Situation, TakeOff};
 use ipc_types::limits::Fence;
 use ipc_types::messages::{Goal, Keyframe, PlanMode, VehicleState};
 use ipc_types::topics::{Goals, Keyframes, Path, Plan, State};
@@ -25,12 +25,12 @@ pub struct PlannerProcess {
 }
 
 impl PlannerProcess {
-    /// For a vehicle that takes off at `home`.
-    pub fn new(model: MapModel, rule: FreeSpaceRule, config: Config, fence: Fence, home: Point<World>) -> Self {
+    /// For a vehicle on the ground.
+    pub fn new(model: MapModel, rule: FreeSpaceRule, config: Config, fence: Fence, take_off: TakeOff) -> Self {
         Self {
-            view: View::new(model, FreeSpace::new(rule, home)),
+            view: View::new(model, FreeSpace::new(rule, take_off.from)),
             lead_s: config.lead_s,
-            planner: Planner::new(config, fence, home),
+            planner: Planner::new(config, fence, take_off),
             goal: None,
             state: None,
             images: Vec::new(),

@@ -1,12 +1,20 @@
 //! Dynamically feasible trajectories: a point mass whose velocity follows a target no faster than it can.
 
 use crate::Config;
+use crate::route::Timed;
 use ipc_types::{Point, Vector, World};
 
 /// Time step of a roll-out, s.
 pub(crate) const STEP_S: f64 = 0.1;
 /// Most samples of a trajectory; longer ones are cut, which only a configuration beyond its bounds can ask for.
 pub(crate) const MOST_SAMPLES: usize = 200;
+
+/// A place is closed in on by its distance in so long, s.
+const SETTLE_S: f64 = 0.5;
+/// A path is pursued by way of a place at least so far ahead, m ...
+const PURSUIT_M: f64 = 0.8;
+/// ... and as many steps.
+const PURSUIT_STEPS: usize = 3;
 
 /// A sample of a trajectory.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -17,11 +25,13 @@ pub(crate) struct Sample {
 
 /// What the velocity follows.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) enum Target {
+pub(crate) enum Target<'a> {
     /// A constant velocity.
     Velocity(Vector<World>),
     /// A place to come to rest at, approached no faster than this.
     Place(Point<World>, f64),
+    /// A timed path, no faster than this.
+    Along(&'a [Timed], f64),
 }
 
 /// A rolled-out trajectory: `samples[..braking]` goes, the rest brakes to rest.
@@ -37,15 +47,17 @@ impl Rollout {
     }
 
     /// Goes for `duration_s` after `target`, then brakes to rest. Reuses the samples' memory.
-    pub(crate) fn fill(&mut self, start: Sample, target: Target, duration_s: f64, config: &Config) {
+    pub(crate) fn fill(&mut self, start: Sample, target: Target<'_>, duration_s: f64, config: &Config) {
         self.samples.clear();
         self.samples.push(start);
         let mut sample = start;
         let steps = (duration_s / STEP_S).round() as usize;
+        let mut passed = 0;
         for _ in 0..steps.min(MOST_SAMPLES) {
             let wanted = match target {
                 Target::Velocity(velocity) => velocity,
                 Target::Place(place, speed) => approach(place - sample.position, speed, config),
+                Target::Along(path, speed) => pursue(path, &mut passed, sample.position, speed),
             };
             let change = wanted - sample.velocity;
             let slows = change.dot(sample.velocity) < 0.0;
@@ -92,8 +104,26 @@ fn approach(offset: Vector<World>, speed: f64, config: &Config) -> Vector<World>
     // Half of the braking that is available: the rest is for what the vehicle does not follow exactly.
     let able = (config.braking_mps2 * offset.norm()).sqrt();
     // Linear at the end, so that the discrete steps settle instead of overshooting.
-    let settle = offset.norm() / 0.5;
+    let settle = offset.norm() / SETTLE_S;
     offset.direction().map_or(Vector::ZERO, |direction| direction * speed.min(able).min(settle))
+}
+
+/// Velocity towards a place ahead on a timed path, of which `passed` places lie behind.
+fn pursue(path: &[Timed], passed: &mut usize, at: Point<World>, speed: f64) -> Vector<World> {
+    let gap = |index: usize| path.get(index).map_or(f64::INFINITY, |timed| timed.at.distance(at));
+    while gap(*passed + 1) < gap(*passed) {
+        *passed += 1;
+    }
+    let is_ahead = |index: &usize| path[*index].at.distance(path[*passed].at) >= PURSUIT_M;
+    let least = (*passed + PURSUIT_STEPS).min(path.len().saturating_sub(1));
+    let ahead = (least..path.len()).find(is_ahead).or(path.len().checked_sub(1));
+    ahead.map_or(Vector::ZERO, |ahead| {
+        let towards = (path[ahead].at - at).direction().unwrap_or(Vector::ZERO);
+        // At the end the place counts, not the speed there, which is none.
+        let settle = path[ahead].at.distance(at) / SETTLE_S;
+        let timed = path[ahead].velocity.norm().max(settle.min(path[*passed].velocity.norm()));
+        towards * timed.min(speed)
+    })
 }
 
 fn advance(sample: Sample, change: Vector<World>) -> Sample {
@@ -105,7 +135,8 @@ fn advance(sample: Sample, change: Vector<World>) -> Sample {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::planner::tests::config;
+    use crate::fixtures::config;
+    use crate::route::Timing;
 
     fn start(speed: f64) -> Sample {
         Sample { position: Point::new(0.0, 0.0, 2.0), velocity: Vector::new(speed, 0.0, 0.0) }
@@ -138,6 +169,21 @@ mod tests {
         brake(end, config.braking_mps2, |sample| end = sample);
         let expected = 16.0 / (2.0 * config.braking_mps2);
         assert!((end.position.x - expected).abs() < 0.1, "{end:?}, expected {expected}");
+    }
+
+    #[test]
+    fn a_bent_path_is_followed_and_none_is_no_way() {
+        let (config, mut rollout, mut timing) = (config(), Rollout::new(), Timing::default());
+        let path = [Point::new(0.0, 0.0, 2.0), Point::new(6.0, 0.0, 2.0), Point::new(10.0, 4.0, 2.0)];
+        let timed = timing.time(&path, 40.0, 2.0, &config.limits(3.0), STEP_S);
+        rollout.fill(start(2.0), Target::Along(timed, 3.0), 8.0, &config);
+        let off_m = |sample: &Sample| {
+            timed.iter().map(|timed| timed.at.distance(sample.position)).fold(f64::INFINITY, f64::min)
+        };
+        assert!(rollout.samples.iter().all(|sample| off_m(sample) < 0.5 && sample.velocity.norm() < 3.01));
+        assert!(rollout.end_of_going().position.distance(path[2]) < 0.2, "{:?}", rollout.end_of_going());
+        rollout.fill(start(2.0), Target::Along(&[], 3.0), 8.0, &config);
+        assert!(rollout.end_of_going().position.x < 1.0, "it stops");
     }
 
     #[test]

@@ -13,6 +13,16 @@ const DITHERING_S: f64 = 6.0;
 const DITHERING_M: f64 = 2.0;
 /// Most that one plan of looking defers dithering by, s: plans are that far apart.
 const LOOK_CREDIT_S: f64 = 0.2;
+/// Slower than this the vehicle dwells where it is, m/s.
+const DWELLING_MPS: f64 = 0.5;
+/// Radius within which a place where the vehicle dwelt repels, m.
+const DWELT_M: f64 = 2.5;
+/// Price of every second of it, m ...
+const DWELT_M_PER_S: f64 = 1.5;
+/// ... and of such a place at most, m.
+const MOST_DWELT_M: f64 = 10.0;
+/// Places where the vehicle dwelt that are remembered.
+const DWELT_PLACES: usize = 32;
 /// Flying about without getting nearer for this long marks the place, s.
 const DETOUR_S: f64 = 30.0;
 
@@ -45,6 +55,10 @@ pub(crate) enum Stage {
 pub(crate) struct Stuck {
     pub(crate) stage: Stage,
     places: Vec<Point<World>>,
+    /// Where the vehicle has dwelt, and for how long, s; the latest last.
+    dwelt: Vec<(Point<World>, f64)>,
+    /// When that was last noted.
+    noted: Option<FlightTime>,
     nearest_m: f64,
     progressed: FlightTime,
     /// Where the vehicle was when it last left the neighbourhood, and when.
@@ -60,6 +74,8 @@ impl Stuck {
         Self {
             stage: Stage::Moving,
             places: Vec::new(),
+            dwelt: Vec::with_capacity(DWELT_PLACES),
+            noted: None,
             nearest_m: f64::INFINITY,
             progressed: FlightTime::ZERO,
             anchor: None,
@@ -96,6 +112,25 @@ impl Stuck {
             self.anchor = Some((now, at));
             self.retreat(now, at, path, config);
         }
+    }
+
+    /// Notes where a slow vehicle spends its time: what looked open from afar may have been closed there, and would
+    /// look open again as soon as it has left (as the costs that LRTA* learns, Korf 1990).
+    pub(crate) fn note_dwelling(&mut self, now: FlightTime, at: Point<World>, speed_mps: f64) {
+        let passed_s = self.noted.map_or(0.0, |noted| now.seconds_since(noted).clamp(0.0, 0.5));
+        self.noted = Some(now);
+        if speed_mps >= DWELLING_MPS {
+            return;
+        }
+        let near = |(place, _): &&mut (Point<World>, f64)| place.distance(at) < DWELT_M / 4.0;
+        if let Some((_, dwelt_s)) = self.dwelt.iter_mut().find(near) {
+            *dwelt_s += passed_s;
+            return;
+        }
+        if self.dwelt.len() == DWELT_PLACES {
+            self.dwelt.remove(0);
+        }
+        self.dwelt.push((at, passed_s));
     }
 
     /// The vehicle turns its camera on purpose: that is not dithering.
@@ -161,7 +196,12 @@ impl Stuck {
 
     /// Price of ending at a point, m: high near where the vehicle was stuck.
     pub(crate) fn price(&self, point: Point<World>) -> f64 {
-        self.places.iter().map(|place| (REPULSION_M - place.distance(point)).max(0.0) * 1.5).sum()
+        let stuck = self.places.iter().map(|place| (REPULSION_M - place.distance(point)).max(0.0) * 1.5);
+        let dwelt = self.dwelt.iter().map(|(place, dwelt_s)| {
+            let share = (1.0 - place.distance(point) / DWELT_M).max(0.0);
+            (DWELT_M_PER_S * dwelt_s).min(MOST_DWELT_M) * share
+        });
+        stuck.sum::<f64>() + dwelt.sum::<f64>()
     }
 
     fn mark(&mut self, at: Point<World>, config: &Config) {
@@ -191,7 +231,7 @@ fn back_along(path: &[Point<World>], at: Point<World>, distance_m: f64) -> Optio
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::planner::tests::config;
+    use crate::fixtures::config;
 
     #[test]
     fn waits_looks_around_backs_out_and_finally_gives_up() {
@@ -217,6 +257,22 @@ mod tests {
         assert_eq!(stuck.stage, Stage::GivenUp);
         let rounds = config.attempts as usize;
         assert_eq!(stages.len(), 2 + 2 * rounds + 1, "waiting, then rounds of looking and backing, then the end");
+    }
+
+    #[test]
+    fn where_it_dwells_gets_dearer_and_where_it_flies_does_not() {
+        let (mut stuck, here, on) = (Stuck::new(), Point::ZERO, Point::new(2.0, 0.0, 0.0));
+        for tick in 0..40 {
+            let now = FlightTime::from_secs_f64(f64::from(tick) * 0.1);
+            stuck.note_dwelling(now, if tick < 20 { here } else { on }, if tick < 20 { 0.1 } else { 3.0 });
+        }
+        assert!((stuck.price(here) - DWELT_M_PER_S * 1.9).abs() < 1e-6);
+        assert!(stuck.price(on) < 0.3 * stuck.price(here));
+        for tick in 40..4000 {
+            let at = Point::new(0.0, f64::from(tick), 0.0);
+            stuck.note_dwelling(FlightTime::from_secs_f64(f64::from(tick) * 0.1), at, 0.0);
+        }
+        assert!(stuck.dwelt.len() <= DWELT_PLACES && stuck.price(here) == 0.0, "the oldest are forgotten");
     }
 
     #[test]

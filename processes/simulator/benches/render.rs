@@ -49,8 +49,9 @@ fn forest() -> World {
         ground_wavelength_m: 14.0,
         forest,
         walls: Vec::new(),
+        octomap: None,
     };
-    World::grow(&config, 7, &[])
+    World::grow(&config, 7, &[]).expect("no file")
 }
 
 /// Corners of the triangles of all capsules: 12 sides, 6 rings, within the renderer's range.

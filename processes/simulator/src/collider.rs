@@ -154,7 +154,7 @@ mod tests {
     fn wall_world() -> World {
         let wall = Wall { centre_m: [10.0, 0.0], size_m: [40.0, 0.2, 6.0], heading_deg: 90.0, blank: false };
         let bare = Forest { trees_per_m2: 0.0, bushes_per_m2: 0.0, ..config().forest };
-        World::grow(&WorldConfig { walls: vec![wall], forest: bare, ..config() }, 1, &[])
+        World::grow(&WorldConfig { walls: vec![wall], forest: bare, ..config() }, 1, &[]).expect("no file")
     }
 
     #[test]
@@ -180,7 +180,7 @@ mod tests {
 
     #[test]
     fn a_forest_is_solid_where_it_is_drawn() {
-        let world = World::grow(&config(), 4, &[]);
+        let world = World::grow(&config(), 4, &[]).expect("no file");
         let collider = Collider::new(&world, 0.25, 0.2);
         for obstacle in world.obstacles().iter().take(300) {
             if let Shape::Capsule { from, to, .. } = obstacle.shape {

@@ -1,6 +1,6 @@
 //! The world on a desktop.
 //!
-//! * [`World`]: seeded random forests on uneven ground, walls; made of capsules and boxes.
+//! * [`World`]: seeded random forests on uneven ground, walls, OctoMap files; made of capsules and boxes.
 //! * [`Renderer`]: what the stereo camera sees of it.
 //! * [`Vehicle`]: a quadrotor behind a velocity-command flight control unit that brakes by itself when setpoints stop.
 //! * [`Estimator`]: what the vehicle believes of its own state: late, noisy, drifting.
@@ -14,6 +14,7 @@ mod collider;
 mod estimator;
 mod ground;
 mod noise3;
+mod octomap;
 mod process;
 mod raster;
 mod render;
@@ -23,7 +24,8 @@ mod world;
 pub use camera::{CameraConfig, StereoCamera};
 pub use collider::{Clearance, Collider};
 pub use estimator::{Estimator, EstimatorConfig};
+pub use octomap::{Octomap, OctomapError};
 pub use process::{SimulatorConfig, SimulatorProcess, SimulatorSetup};
 pub use render::Renderer;
 pub use vehicle::{Vehicle, VehicleConfig};
-pub use world::{Forest, Obstacle, Shape, Wall, World, WorldConfig};
+pub use world::{Forest, Obstacle, Shape, Wall, World, WorldConfig, WorldError};

@@ -4,7 +4,7 @@ use crate::ground::Ground;
 use crate::noise3::Noise3;
 use crate::raster::{EyeCapsule, EyeCuboid, Pinhole, draw_capsule, draw_cuboid, stride};
 use crate::world::{Obstacle, Shape, World};
-use ipc_types::{Camera, Point, Pose, World as WorldFrame};
+use ipc_types::{Camera, Point, Pose, Vector, World as WorldFrame};
 use multiversion::multiversion;
 use std::sync::Arc;
 
@@ -115,8 +115,17 @@ impl Renderer {
                 let [right, down, forward] = eye.axes.map(turn);
                 let rays = [0, 1, 2].map(|axis| [right[axis], down[axis], forward[axis]]);
                 let half = half_m.map(|value| value as f32);
-                let reach = (half[0] * half[0] + half[1] * half[1] + half[2] * half[2]).sqrt();
-                if let Some(rectangle) = self.pinhole.rectangle(&[eye.see(centre)], reach) {
+                let corners = [0, 1, 2, 3, 4, 5, 6, 7].map(|corner: u8| {
+                    let side = |axis: usize| if corner >> axis & 1 == 0 { half_m[axis] } else { -half_m[axis] };
+                    let (along, across) = (side(0), side(1));
+                    let (sin, cos) = heading_rad.sin_cos();
+                    let offset = Vector::new(cos * along - sin * across, sin * along + cos * across, side(2));
+                    eye.see(centre + offset)
+                });
+                if corners.iter().all(|corner| corner[2] > FARTHEST_M) {
+                    return;
+                }
+                if let Some(rectangle) = self.pinhole.rectangle(&corners, 0.0) {
                     let cuboid = EyeCuboid { eye: from_centre, rays, half };
                     draw_cuboid(self.pinhole, rectangle, cuboid, identity, depths, identities);
                 }

@@ -1,6 +1,7 @@
 //! Seeded worlds: forests of leaning trunks with branches and canopies, bushes, walls, uneven ground.
 
 use crate::ground::Ground;
+use crate::octomap::{Octomap, OctomapError};
 use ipc_types::bounds::Bounds;
 use ipc_types::{Point, Vector, World as WorldFrame};
 use rand::{RngExt, SeedableRng};
@@ -8,6 +9,7 @@ use rand_distr::{Distribution, Poisson};
 use rand_pcg::Pcg64Mcg;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
+use std::path::{Path, PathBuf};
 
 /// A world's parameters. Ranges are (least, most), drawn uniformly.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -25,6 +27,18 @@ pub struct WorldConfig {
     pub forest: Forest,
     /// Walls.
     pub walls: Vec<Wall>,
+    /// An OctoMap file (`.bt`) whose occupied voxels stand there too, its floor at height zero.
+    pub octomap: Option<PathBuf>,
+}
+
+/// Why there is no world.
+#[derive(Debug, thiserror::Error)]
+#[error("{path}: {source}")]
+pub struct WorldError {
+    /// The OctoMap file.
+    pub path: String,
+    /// What is wrong with it.
+    pub source: OctomapError,
 }
 
 /// A random forest.
@@ -75,7 +89,43 @@ pub struct Wall {
     pub blank: bool,
 }
 
+/// Thickness of the walls around a map, and their distance from it, m.
+const WALL_M: f64 = 1.0;
+
 impl WorldConfig {
+    /// An OctoMap file on level ground within four walls: through the gaps of a map that ends, a camera would see the
+    /// sky down to the horizon, which no forest shows.
+    ///
+    /// # Errors
+    /// It is none.
+    pub fn of_octomap(path: &Path) -> Result<Self, WorldError> {
+        let refused = |source| WorldError { path: path.display().to_string(), source };
+        let map = Octomap::read(path).map_err(refused)?;
+        let [least, most] = map.bounds_m();
+        let (size, middle) = (most - least, least.lerp(most, 0.5));
+        let wall = |centre_m: [f64; 2], length_m: f64, heading_deg: f64| Wall {
+            centre_m,
+            size_m: [length_m + 2.0 * WALL_M, WALL_M, most.z - map.floor_m() + WALL_M],
+            heading_deg,
+            blank: false,
+        };
+        let walls = vec![
+            wall([middle.x, least.y - WALL_M], size.x, 0.0),
+            wall([middle.x, most.y + WALL_M], size.x, 0.0),
+            wall([least.x - WALL_M, middle.y], size.y, 90.0),
+            wall([most.x + WALL_M, middle.y], size.y, 90.0),
+        ];
+        Ok(Self {
+            least_m: [least.x, least.y],
+            most_m: [most.x, most.y],
+            ground_amplitude_m: 0.0,
+            ground_wavelength_m: 100.0,
+            forest: Forest::BARE,
+            walls,
+            octomap: Some(path.to_owned()),
+        })
+    }
+
     /// Reports values out of range.
     pub fn check(&self, bounds: &mut Bounds) {
         for axis in 0..2 {
@@ -102,6 +152,24 @@ impl WorldConfig {
 }
 
 impl Forest {
+    /// Nothing grows.
+    const BARE: Self = Self {
+        trees_per_m2: 0.0,
+        trunk_radius_m: (0.1, 0.1),
+        height_m: (1.0, 1.0),
+        lean_deg: 0.0,
+        blank_share: 0.0,
+        branches: (0, 0),
+        branch_radius_m: (0.05, 0.05),
+        branch_length_m: (0.0, 0.0),
+        branch_height_m: 0.0,
+        canopy_balls: (0, 0),
+        canopy_radius_m: (0.1, 0.1),
+        bushes_per_m2: 0.0,
+        bush_radius_m: (0.1, 0.1),
+        clearing_m: 0.0,
+    };
+
     fn check(&self, bounds: &mut Bounds) {
         bounds.range("trees_per_m2", self.trees_per_m2, 0.0..=1.0);
         bounds.range("bushes_per_m2", self.bushes_per_m2, 0.0..=1.0);
@@ -185,7 +253,10 @@ fn draw_count(random: &mut Pcg64Mcg, range: (u32, u32)) -> u32 {
 
 impl World {
     /// Grows a world from a seed. `clear` are the places around which nothing grows.
-    pub fn grow(config: &WorldConfig, seed: u64, clear: &[Point<WorldFrame>]) -> Self {
+    ///
+    /// # Errors
+    /// The OctoMap file is none.
+    pub fn grow(config: &WorldConfig, seed: u64, clear: &[Point<WorldFrame>]) -> Result<Self, WorldError> {
         let mut random = Pcg64Mcg::seed_from_u64(seed);
         let ground = Ground::new(config, &mut random);
         let mut world = Self { ground, obstacles: Vec::new(), trees: 0 };
@@ -211,7 +282,27 @@ impl World {
                 contrast: if wall.blank { 0.0 } else { 90.0 },
             });
         }
-        world
+        if let Some(path) = &config.octomap {
+            let refused = |source| WorldError { path: path.display().to_string(), source };
+            world.build(&Octomap::read(path).map_err(refused)?).map_err(refused)?;
+        }
+        Ok(world)
+    }
+
+    /// Boxes where a map is occupied above its floor, which is the ground.
+    fn build(&mut self, map: &Octomap) -> Result<(), OctomapError> {
+        let floor = Vector::new(0.0, 0.0, map.floor_m());
+        for [least, most] in map.boxes()?.into_iter().filter(|[_, most]| most.z > floor.z) {
+            let least = Point::new(least.x, least.y, least.z.max(floor.z));
+            let size = most - least;
+            let shape = Shape::Cuboid {
+                centre: least + size * 0.5 - floor,
+                half_m: [size.x / 2.0, size.y / 2.0, size.z / 2.0],
+                heading_rad: 0.0,
+            };
+            self.obstacles.push(Obstacle { shape, brightness: 110.0, contrast: 90.0 });
+        }
+        Ok(())
     }
 
     /// Everything solid but the ground.
@@ -333,12 +424,13 @@ pub(crate) mod tests {
                 clearing_m: 3.0,
             },
             walls: Vec::new(),
+            octomap: None,
         }
     }
 
     #[test]
     fn the_same_seed_grows_the_same_world_and_another_does_not() {
-        let grow = |seed| World::grow(&config(), seed, &[]).obstacles;
+        let grow = |seed| World::grow(&config(), seed, &[]).expect("no file").obstacles;
         assert_eq!(grow(3), grow(3));
         assert_ne!(grow(3), grow(4));
     }
@@ -346,10 +438,10 @@ pub(crate) mod tests {
     #[test]
     fn density_is_as_asked_and_clearings_are_clear() {
         let clear = Point::new(60.0, 0.0, 2.0);
-        let trees: usize = (0..20).map(|seed| World::grow(&config(), seed, &[clear]).trees()).sum();
+        let trees: usize = (0..20).map(|seed| World::grow(&config(), seed, &[clear]).expect("no file").trees()).sum();
         let expected = 20.0 * 0.05 * 130.0 * 160.0;
         assert!((trees as f64 / expected - 1.0).abs() < 0.03, "{trees} trees, expected {expected}");
-        for obstacle in World::grow(&config(), 1, &[clear]).obstacles() {
+        for obstacle in World::grow(&config(), 1, &[clear]).expect("no file").obstacles() {
             if let Shape::Capsule { from, radius_m, .. } = obstacle.shape {
                 let near = (from.x - clear.x).hypot(from.y - clear.y) - radius_m;
                 assert!(near > 0.0 || from.z > 2.5, "{obstacle:?}");

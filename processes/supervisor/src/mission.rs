@@ -13,6 +13,16 @@ use runtime::{Connect, Message, Ports, Process, Report};
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
 
+/// A cylinder around the take-off place, declared free: no image sees what is beside a vehicle on the ground.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct HomeConfig {
+    /// Its radius, m. Take-off may drift so far.
+    pub radius_m: f64,
+    /// Its height above the take-off place, m.
+    pub height_m: f64,
+}
+
 /// Where to fly.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -25,6 +35,10 @@ pub struct MissionConfig {
     pub goal_m: [f64; 3],
     /// Highest speed on the way, m/s.
     pub cruise_speed_mps: f64,
+    /// Height to fly at above the take-off place, m.
+    pub cruise_height_m: f64,
+    /// The cylinder around the take-off place that the operator declares free.
+    pub home: HomeConfig,
     /// Geofence and altitude limits.
     pub fence: Fence,
     /// The flight has failed when it takes longer, s.
@@ -38,6 +52,25 @@ impl MissionConfig {
         self.goal_m.iter().for_each(|&value| bounds.range("goal_m", value, -1e5..=1e5));
         bounds.range("start_heading_deg", self.start_heading_deg, -360.0..=360.0);
         bounds.range("cruise_speed_mps", self.cruise_speed_mps, 0.2..=20.0);
+        bounds.range("cruise_height_m", self.cruise_height_m, 0.5..=100.0);
+        bounds.section("home", |bounds| {
+            bounds.range("radius_m", self.home.radius_m, 0.3..=20.0);
+            bounds.range("height_m", self.home.height_m, 0.0..=100.0);
+            bounds.require(
+                self.home.height_m >= self.cruise_height_m,
+                "height_m",
+                format_args!(
+                    "is {}, must be at least cruise_height_m = {}: take-off climbs there",
+                    self.home.height_m, self.cruise_height_m
+                ),
+            );
+        });
+        let heights = self.fence.least_m[2]..self.fence.most_m[2];
+        bounds.require(
+            heights.contains(&self.cruise_height_m),
+            "cruise_height_m",
+            format_args!("is {}, must be within the fence's heights, {heights:?} m", self.cruise_height_m),
+        );
         bounds.range("time_limit_s", self.time_limit_s, 1.0..=36_000.0);
         bounds.section("fence", |bounds| self.fence.check(bounds));
         let inside = self.fence.contains(Point::from_array(self.goal_m));

@@ -1,0 +1,67 @@
+//! What the tests of several modules share: a configuration, a map, a situation.
+
+use crate::route::SearchConfig;
+use crate::{Config, RouteConfig, Situation, TakeOff};
+use ipc_types::limits::Fence;
+use ipc_types::messages::{ExpandedLayout, Layers};
+use ipc_types::noise::NoiseModel;
+use ipc_types::{FlightTime, Point, StereoRig, Vector, World};
+use memory::{FreeSpace, FreeSpaceRule, Inference, MapModel, View};
+
+pub(crate) fn config() -> Config {
+    Config {
+        gamma_low: 0.9,
+        gamma_high: 1.8,
+        speed_shares: vec![1.0, 0.6, 0.3],
+        headings_deg: vec![0.0, 10.0, 20.0, 35.0, 50.0, 75.0, 100.0, 130.0],
+        climbs_deg: vec![0.0, 15.0],
+        horizon_s: 1.8,
+        commit_s: 0.5,
+        lead_s: 0.06,
+        state_deadline_s: 0.2,
+        image_deadline_s: 0.5,
+        sample_m: 0.15,
+        acceleration_mps2: 3.5,
+        braking_mps2: 3.5,
+        jerk_mps3: 30.0,
+        hard_braking_mps2: 5.0,
+        escape_m: 0.3,
+        take_off_mps: 1.2,
+        yaw_rate_degps: 90.0,
+        unknown_price: 0.3,
+        clearance_price: 1.0,
+        height_price: 0.5,
+        hysteresis_m: 0.6,
+        look_price_m: 0.5,
+        patience_s: 1.0,
+        back_out_m: 3.0,
+        attempts: 4,
+        field_reach_m: 10.0,
+        route: RouteConfig { segments: 500, search: SearchConfig { batch: 60, places: 600, neighbours: 24 } },
+    }
+}
+
+pub(crate) const FENCE: Fence = Fence { least_m: [-20.0, -50.0, 0.5], most_m: [100.0, 50.0, 6.0] };
+
+pub(crate) const TAKE_OFF: TakeOff = TakeOff { from: Point::ZERO, radius_m: 1.0, height_m: 2.0 };
+
+pub(crate) const RIG: StereoRig =
+    StereoRig { width_px: 32, height_px: 24, focal_px: 20.0, cx_px: 15.5, cy_px: 11.5, baseline_m: 0.3, doffs_px: 0.0 };
+
+/// A map that knows nothing beyond a home cylinder of the given radius.
+pub(crate) fn home_only(radius_m: f64) -> View {
+    let rule =
+        FreeSpaceRule { home_radius_m: radius_m, home_height_m: 10.0, swept_radius_m: 0.5, background_parallax_m: 0.5 };
+    let noise =
+        NoiseModel { sigma_px: 0.5, sigma_m: 0.0, lambda_near: 3.0, lambda_far: 1.0, near_px: 10.0, far_px: 4.0 };
+    let layout = ExpandedLayout::new(&RIG, 0, Layers::Two);
+    let inference = Inference::Confidence;
+    let model = MapModel { rig: RIG, noise, layout, radius_m: 0.5, inference, forget_s: 1.0 };
+    View::new(model, FreeSpace::new(rule, Point::ZERO))
+}
+
+pub(crate) fn situation(now: f64, position: Point<World>, velocity: Vector<World>) -> Situation {
+    let now = FlightTime::from_secs_f64(now);
+    let goal = Point::new(60.0, 0.0, 2.0);
+    Situation { now, state_valid: now, image_valid: now, position, velocity, yaw_rad: 0.0, goal, cruise_mps: 4.0 }
+}
