@@ -67,7 +67,7 @@ impl Guide {
             return;
         }
         self.cut_to(from);
-        let mut space = MapSpace { view, threshold: config.gamma_high, questions: &mut self.questions };
+        let mut space = MapSpace { view, threshold: config.gamma_high, start: from, questions: &mut self.questions };
         // A vehicle inside a margin leaves it by the first leg.
         let leaving = usize::from(!space.is_free(from));
         let mut legs = self.path.windows(2).skip(leaving);

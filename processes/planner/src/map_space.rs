@@ -4,13 +4,19 @@
 //! flown is admitted by [`crate::admission`], which leaves nothing out.
 
 use crate::route::Space;
-use ipc_types::{Point, World};
+use ipc_types::{Point, Vector, World};
 use memory::{Occupancy, Points, Scratch, Unknown, View};
 
 /// Places asked about at once.
 const BLOCK: usize = 32;
-/// Spacing of the places of a way, m: between two of them a way comes nearer to a ball of 0.5 m by 2 cm at most.
-const SPACING_M: f64 = 0.25;
+/// Spacing of the places of a way, m.
+const SPACING_M: f64 = 0.125;
+/// A way is free with so much around it, m: what follows it cuts corners, and is carried off.
+const ROOM_M: f64 = 0.12;
+/// The room grows by this share of the distance from the vehicle, which may be nearer to something.
+const GROWTH: f64 = 0.3;
+/// Sides of a way that its places lie on in turn: it is asked about along a helix.
+const TURNS: [(f64, f64); 4] = [(1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)];
 
 /// Longer ways are not asked about, pieces.
 const MOST_PIECES: f64 = 1e5;
@@ -34,26 +40,19 @@ impl Questions {
 pub(crate) struct MapSpace<'a> {
     pub(crate) view: &'a View,
     pub(crate) threshold: f32,
+    /// The vehicle's place.
+    pub(crate) start: Point<World>,
     pub(crate) questions: &'a mut Questions,
 }
 
-impl Space for MapSpace<'_> {
-    fn is_free(&mut self, place: Point<World>) -> bool {
-        self.view.occupancy(place, self.threshold) != Occupancy::Occupied
-    }
-
-    fn is_way_free(&mut self, from: Point<World>, to: Point<World>) -> bool {
-        let pieces = (from.distance(to) / SPACING_M).ceil().max(1.0);
-        // Written so that what is not a number is refused, too.
-        if !(1.0..=MOST_PIECES).contains(&pieces) {
-            return false;
-        }
-        let pieces = pieces as usize;
+impl MapSpace<'_> {
+    /// Whether none of so many places, each of a number, is occupied.
+    fn are_free(&mut self, count: usize, place: impl Fn(usize) -> Point<World>) -> bool {
         let Questions { places: [x_m, y_m, z_m], answers, scratch } = &mut *self.questions;
-        for first in (0..=pieces).step_by(BLOCK) {
-            let count = BLOCK.min(pieces + 1 - first);
+        for first in (0..count).step_by(BLOCK) {
+            let count = BLOCK.min(count - first);
             for lane in 0..count {
-                let place = from.lerp(to, (first + lane) as f64 / pieces as f64);
+                let place = place(first + lane);
                 (x_m[lane], y_m[lane], z_m[lane]) = (place.x, place.y, place.z);
             }
             let points = Points { x_m: &x_m[..count], y_m: &y_m[..count], z_m: &z_m[..count] };
@@ -65,4 +64,37 @@ impl Space for MapSpace<'_> {
         }
         true
     }
+}
+
+impl Space for MapSpace<'_> {
+    fn is_free(&mut self, place: Point<World>) -> bool {
+        let room_m = room_m(place, self.start);
+        let sides = [[0.0; 3], [1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0]];
+        self.are_free(sides.len(), |side| place + Vector::from_array(sides[side]) * room_m)
+    }
+
+    fn is_way_free(&mut self, from: Point<World>, to: Point<World>) -> bool {
+        let pieces = (from.distance(to) / SPACING_M).ceil().max(1.0);
+        // Written so that what is not a number is refused, too.
+        if !(1.0..=MOST_PIECES).contains(&pieces) {
+            return false;
+        }
+        let pieces = pieces as usize;
+        // The same places, whichever way it is flown.
+        let (from, to) = if from.to_array() < to.to_array() { (from, to) } else { (to, from) };
+        let along = (to - from).direction().unwrap_or(Vector::ZERO);
+        let level = Vector::new(-along.y, along.x, 0.0).direction().unwrap_or(Vector::new(1.0, 0.0, 0.0));
+        let up = along.cross(level);
+        let start = self.start;
+        self.are_free(pieces + 1, |piece| {
+            let place = from.lerp(to, piece as f64 / pieces as f64);
+            let (across, above) = TURNS[piece % TURNS.len()];
+            place + (level * across + up * above) * room_m(place, start)
+        })
+    }
+}
+
+/// Room that a way needs at a place, for a vehicle at `start`, m.
+fn room_m(place: Point<World>, start: Point<World>) -> f64 {
+    ROOM_M.min(GROWTH * place.distance(start))
 }

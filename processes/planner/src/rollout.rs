@@ -11,10 +11,10 @@ pub(crate) const MOST_SAMPLES: usize = 200;
 
 /// A place is closed in on by its distance in so long, s.
 const SETTLE_S: f64 = 0.5;
-/// A path is pursued by way of a place at least so far ahead, m ...
-const PURSUIT_M: f64 = 0.8;
-/// ... and as many steps.
-const PURSUIT_STEPS: usize = 3;
+/// A path is got back onto in so long, s.
+const ONTO_PATH_S: f64 = 0.4;
+/// A path's velocity is followed so many steps ahead: corners are begun before they are reached.
+const AHEAD_STEPS: usize = 2;
 
 /// A sample of a trajectory.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -57,7 +57,7 @@ impl Rollout {
             let wanted = match target {
                 Target::Velocity(velocity) => velocity,
                 Target::Place(place, speed) => approach(place - sample.position, speed, config),
-                Target::Along(path, speed) => pursue(path, &mut passed, sample.position, speed),
+                Target::Along(path, speed) => follow(path, &mut passed, sample.position, speed),
             };
             let change = wanted - sample.velocity;
             let slows = change.dot(sample.velocity) < 0.0;
@@ -108,22 +108,24 @@ fn approach(offset: Vector<World>, speed: f64, config: &Config) -> Vector<World>
     offset.direction().map_or(Vector::ZERO, |direction| direction * speed.min(able).min(settle))
 }
 
-/// Velocity towards a place ahead on a timed path, of which `passed` places lie behind.
-fn pursue(path: &[Timed], passed: &mut usize, at: Point<World>, speed: f64) -> Vector<World> {
+/// Velocity that follows a timed path, of which `passed` places lie behind: what is timed next, and back onto the path.
+fn follow(path: &[Timed], passed: &mut usize, at: Point<World>, speed: f64) -> Vector<World> {
     let gap = |index: usize| path.get(index).map_or(f64::INFINITY, |timed| timed.at.distance(at));
     while gap(*passed + 1) < gap(*passed) {
         *passed += 1;
     }
-    let is_ahead = |index: &usize| path[*index].at.distance(path[*passed].at) >= PURSUIT_M;
-    let least = (*passed + PURSUIT_STEPS).min(path.len().saturating_sub(1));
-    let ahead = (least..path.len()).find(is_ahead).or(path.len().checked_sub(1));
-    ahead.map_or(Vector::ZERO, |ahead| {
-        let towards = (path[ahead].at - at).direction().unwrap_or(Vector::ZERO);
+    let Some(last) = path.len().checked_sub(1) else { return Vector::ZERO };
+    let next = &path[(*passed + AHEAD_STEPS).min(last)];
+    let off = path[*passed].at - at;
+    match next.velocity.direction().filter(|_| *passed < last) {
+        Some(tangent) => {
+            let across = off - tangent * off.dot(tangent);
+            tangent * next.velocity.norm().min(speed) + across * (1.0 / ONTO_PATH_S)
+        }
         // At the end the place counts, not the speed there, which is none.
-        let settle = path[ahead].at.distance(at) / SETTLE_S;
-        let timed = path[ahead].velocity.norm().max(settle.min(path[*passed].velocity.norm()));
-        towards * timed.min(speed)
-    })
+        None => (path[last].at - at) * (1.0 / SETTLE_S),
+    }
+    .clamp_norm(speed)
 }
 
 fn advance(sample: Sample, change: Vector<World>) -> Sample {
