@@ -7,8 +7,10 @@
 //!   both see nearly the same, takes the newer frame in place of its own, once a recent frame that sees the same is older
 //!   than that by the time to forget. So it is improved until the next one is taken, by a vehicle that stays or comes back,
 //!   and what it saw has been looked at again for as long as forgetting takes.
-//! * A few **recent** frames are nodes as well, evenly spaced in time: what moved is forgotten when it has been seen free
-//!   again for long enough ([`crate::View`]), also by a vehicle that hovers and takes no keyframes.
+//! * The **recent** frames of the time to forget are nodes as well, as many as there are or evenly spaced in time. Stereo
+//!   misses a thin branch in most frames: what a single one sees must not be gone with the next. And what moved is
+//!   forgotten when it has been seen free again for long enough ([`crate::View`]), also by a vehicle that hovers and takes
+//!   no keyframes.
 //!
 //! A correction of poses moves nodes; pixels stay as they are.
 
@@ -31,8 +33,8 @@ pub struct GraphRule {
 impl GraphRule {
     /// Most nodes that a message carries.
     pub const MOST: usize = 64;
-    /// Recent frames kept: as many views as must agree before something is forgotten.
-    pub const RECENT: usize = 3;
+    /// Most recent frames kept.
+    pub const RECENT: usize = 24;
 
     pub(crate) fn check(&self, bounds: &mut Bounds) {
         bounds.range("keyframes", self.keyframes, 2..=Self::MOST - Self::RECENT);
@@ -189,11 +191,13 @@ impl DisparityGraph {
             }
             None => {}
         }
-        // Two of the gaps between recent frames, and the newest frame, span the time to forget.
-        let is_due = |last: &Node| frame.exposure.seconds_since(last.exposure) >= self.forget_s / 2.0;
-        if self.recent.first().is_none_or(is_due) {
+        let age_s = |node: &Node| frame.exposure.seconds_since(node.exposure);
+        let gap_s = self.forget_s / (GraphRule::RECENT - 1) as f64;
+        if self.recent.first().is_none_or(|last| age_s(last) >= gap_s) {
             self.recent.insert(0, frame);
-            self.recent.truncate(GraphRule::RECENT);
+            // They span the time to forget, and one more.
+            let spanning = self.recent.partition_point(|node| age_s(node) < self.forget_s) + 1;
+            self.recent.truncate(spanning.min(GraphRule::RECENT));
         }
         self.newest = Some(frame);
         for id in before {
@@ -309,6 +313,22 @@ mod tests {
             assert_eq!(moved, before.exposure.as_nanos() >= 10, "{}", before.image_id);
         }
         assert_eq!(graph.correct(corrected), 0, "they lie there already");
+    }
+
+    #[test]
+    fn every_frame_of_the_last_second_is_a_node_or_they_are_evenly_spaced() {
+        for (rate_hz, kept) in [(12.5, 14), (20.0, 21), (60.0, 21)] {
+            let mut graph = DisparityGraph::new(RULE, 1.0);
+            for tick in 0..200 {
+                let exposure = FlightTime::from_secs_f64(f64::from(tick) / rate_hz);
+                let fast = Node { exposure, ..frame(tick as u64, f64::from(tick) * 0.2, 0.0) };
+                assert!(graph.insert(fast, |_| {}));
+            }
+            let recent: Vec<_> = graph.parts().2.iter().map(|node| node.exposure).collect();
+            assert_eq!(recent.len(), kept, "{rate_hz} Hz");
+            let span_s = recent[0].seconds_since(recent[kept - 1]);
+            assert!((0.99..1.1).contains(&span_s), "{rate_hz} Hz: {span_s} s");
+        }
     }
 
     #[test]

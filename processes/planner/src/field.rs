@@ -20,6 +20,11 @@ const CLEARANCE: usize = 2;
 /// Price of a cell that was occupied when last seen, relative to a free one.
 const ONCE_OCCUPIED: f32 = 5.0;
 
+/// Price of a cell that was looked at from near and not measured, relative to a free one: something may fill the view.
+const LOOKED_AT: f32 = 5.0;
+/// So near, m.
+const NEAR_M: f64 = 3.0;
+
 /// What a cell was when it was last known.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Memory {
@@ -79,7 +84,8 @@ impl Field {
         for index in 0..self.price.len() {
             let cell = self.cell(index);
             self.price[index] = if asked.is_ok() && fence.contains(centre(cell, at.z)) {
-                self.price_of(cell, self.seen[index], ask.unknown_price)
+                let is_near = centre(cell, at.z).distance(at) < NEAR_M;
+                self.price_of(cell, self.seen[index], is_near, ask.unknown_price)
             } else {
                 f32::INFINITY
             };
@@ -117,16 +123,17 @@ impl Field {
         (self.first.0 + (index % self.side()) as i64, self.first.1 + (index / self.side()) as i64)
     }
 
-    fn price_of(&mut self, cell: (i64, i64), seen: Occupancy, unknown_price: f32) -> f32 {
+    fn price_of(&mut self, cell: (i64, i64), seen: Occupancy, is_near: bool, unknown_price: f32) -> f32 {
         let side = REMEMBERED as i64;
         let slot = (cell.1.rem_euclid(side) * side + cell.0.rem_euclid(side)) as usize;
         let occupied = match seen {
             Occupancy::Free => false,
             Occupancy::Occupied => true,
-            Occupancy::Unknown(_) => {
+            Occupancy::Unknown(why) => {
                 return match self.memory[slot].filter(|memory| memory.cell == cell) {
                     Some(Memory { occupied: true, .. }) => ONCE_OCCUPIED,
                     Some(_) => 1.0,
+                    None if is_near && why == Unknown::NoReturn => LOOKED_AT,
                     None => 1.0 + unknown_price,
                 };
             }

@@ -48,6 +48,7 @@ pub(crate) struct MapSpace<'a> {
 impl MapSpace<'_> {
     /// Whether none of so many places, each of a number, is occupied.
     fn are_free(&mut self, count: usize, place: impl Fn(usize) -> Point<World>) -> bool {
+        let start = self.start;
         let Questions { places: [x_m, y_m, z_m], answers, scratch } = &mut *self.questions;
         for first in (0..count).step_by(BLOCK) {
             let count = BLOCK.min(count - first);
@@ -59,6 +60,10 @@ impl MapSpace<'_> {
             let answers = &mut answers[..count];
             let asked = self.view.occupancies(points, self.threshold, scratch, answers);
             if asked.is_err() || answers.contains(&Occupancy::Occupied) {
+                return false;
+            }
+            let hidden = |lane: usize| answers[lane] == Occupancy::Unknown(Unknown::NoReturn) && place(first + lane).distance(start) < 2.5;
+            if (0..count).any(hidden) {
                 return false;
             }
         }
