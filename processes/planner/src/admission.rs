@@ -9,6 +9,9 @@ use memory::{Occupancy, View};
 /// Spacing at which the start of a candidate is searched for the way out, m.
 const ESCAPE_SPACING_M: f64 = 0.05;
 
+/// Nearer than this a look from here will not make known what is not, m.
+const TOO_NEAR_M: f64 = 0.9;
+
 /// Asks the map about candidates.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Admission<'a> {
@@ -93,10 +96,13 @@ impl Admission<'_> {
         self.walk(rollout, committed, threshold, escape)
     }
 
-    /// Whether nothing known stands in a candidate's way, were all of it seen: good enough to look there, not to fly.
+    /// Whether nothing known stands in a candidate's way, were all of it seen that can be seen from here: good enough to
+    /// look there, not to fly. What is too near for the camera to see the whole body there must be known already.
     pub(crate) fn promises(&self, rollout: &Rollout, threshold: f32) -> Option<Admitted> {
         let escape = self.escape(rollout, threshold).ok()?;
-        self.walk(rollout, 0, threshold, escape).ok()
+        let from = rollout.samples[0].position;
+        let near = rollout.samples.iter().take_while(|sample| sample.position.distance(from) < TOO_NEAR_M).count();
+        self.walk(rollout, near, threshold, escape).ok()
     }
 
     /// Asks along a candidate, of which the first `known` steps must be known free.
