@@ -78,7 +78,7 @@ impl Prices<'_> {
         let turns = slow && !is_seen(heading_rad, self.situation.yaw_rad, self.half_view_rad);
         // Every look from here makes turning away dearer, or the vehicle would never be done with looking.
         let looks = if turns { 1 + self.gaze.looks(self.situation) } else { 0 };
-        let turning_m = self.config.look_price_m * looks as f64;
+        let turning_m = self.config.look_price_m * (looks * looks) as f64;
         // Also where it comes to rest: what shoots past the goal is no nearer to it.
         let rest = rollout.samples.last().map_or(end, |rest| rest.position);
         let price_m = self.to_goal_m(end).max(self.to_goal_m(rest)) + self.stuck.price(end) + turning_m - hysteresis_m;
