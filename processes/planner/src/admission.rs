@@ -12,12 +12,29 @@ const ESCAPE_SPACING_M: f64 = 0.05;
 /// Nearer than this a look from here will not make known what is not, m.
 const TOO_NEAR_M: f64 = 0.9;
 
+/// A retreat may begin with an occupied stretch so many times as long as other candidates: all of a margin.
+const RETREAT: f64 = 2.5;
+
 /// Asks the map about candidates.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Admission<'a> {
-    pub(crate) view: &'a View,
-    pub(crate) fence: &'a Fence,
-    pub(crate) config: &'a Config,
+    view: &'a View,
+    fence: &'a Fence,
+    config: &'a Config,
+    /// Longest occupied stretch at the start, m.
+    escape_m: f64,
+}
+
+impl<'a> Admission<'a> {
+    pub(crate) fn new(view: &'a View, fence: &'a Fence, config: &'a Config) -> Self {
+        Self { view, fence, config, escape_m: config.escape_m }
+    }
+
+    /// For the way that the vehicle came by: it has been there, so it may leave a margin that way from deeper inside.
+    /// What was seen too late, such as a branch that points at the camera, is met so.
+    pub(crate) fn of_retreat(view: &'a View, fence: &'a Fence, config: &'a Config) -> Self {
+        Self { escape_m: RETREAT * config.escape_m, ..Self::new(view, fence, config) }
+    }
 }
 
 /// The occupied stretch at a candidate's start: a vehicle that has come too near to something may leave its margin.
@@ -121,7 +138,7 @@ impl Admission<'_> {
             let pieces = (pair[0].position.distance(pair[1].position) / ESCAPE_SPACING_M).ceil().max(1.0) as usize;
             for piece in 0..pieces {
                 let exit = pair[0].position.lerp(pair[1].position, piece as f64 / pieces as f64);
-                if from.distance(exit) > self.config.escape_m {
+                if from.distance(exit) > self.escape_m {
                     return Err(Refusal::Occupied);
                 }
                 if self.view.occupancy(exit, threshold) != Occupancy::Occupied {
@@ -182,24 +199,13 @@ impl Admission<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fixtures::{FENCE, RIG, config, home_only};
+    use crate::fixtures::{FENCE, before_a_wall, config, home_only};
     use crate::rollout::Target;
-    use ipc_types::{Body, FlightTime, Pose, Rotation, Vector};
-
-    /// All is free, but for a wall across the x axis whose margin begins at 4 m.
-    fn before_a_wall() -> View {
-        let mut view = home_only(200.0);
-        let value = |depth_m: f64| (RIG.disparity_px(depth_m) * 64.0) as u16;
-        let cells = [value(0.3), value(4.0), value(6.0), 0].repeat(RIG.pixels());
-        let rotation = Rotation::<World, Body>::IDENTITY * Rotation::camera_mount(0.0);
-        let pose = Pose { rotation, translation: Vector::new(0.0, 0.0, 2.0) };
-        assert!(view.push(pose, FlightTime::from_nanos(0), cells.into()));
-        view
-    }
+    use ipc_types::Vector;
 
     fn admit(x_m: f64, velocity: Vector<World>, to: Vector<World>) -> Result<Admitted, Refusal> {
         let (config, view) = (config(), before_a_wall());
-        let admission = Admission { view: &view, fence: &FENCE, config: &config };
+        let admission = Admission::new(&view, &FENCE, &config);
         let mut rollout = Rollout::new();
         let from = Sample { position: Point::new(x_m, 0.0, 2.0), velocity };
         rollout.fill(from, Target::Velocity(to), 1.0, &config);
@@ -216,6 +222,20 @@ mod tests {
         assert_eq!(admit(4.6, Vector::ZERO, out), Err(Refusal::Occupied), "too deep for the allowance");
         let inwards = Vector::new(1.2, 0.0, 0.0);
         assert_eq!(admit(4.15, inwards, out), Err(Refusal::Occupied), "still moves deeper before it turns");
+    }
+
+    #[test]
+    fn a_look_promises_what_it_can_make_known_and_no_more() {
+        let (config, mut rollout) = (config(), Rollout::new());
+        // Nothing is known beyond the home cylinder.
+        for (home_radius_m, x_m, promises) in [(1.5, 0.0, true), (1.5, 1.0, false)] {
+            let view = home_only(home_radius_m);
+            let admission = Admission::new(&view, &FENCE, &config);
+            let from = Sample { position: Point::new(x_m, 0.0, 2.0), velocity: Vector::new(2.0, 0.0, 0.0) };
+            rollout.fill(from, Target::Velocity(Vector::new(4.0, 0.0, 0.0)), 1.0, &config);
+            assert_eq!(admission.admit(&rollout, config.gamma_low), Err(Refusal::Unknown));
+            assert_eq!(admission.promises(&rollout, config.gamma_low).is_some(), promises, "from {x_m} m");
+        }
     }
 
     #[test]

@@ -263,12 +263,19 @@ mod tests {
     fn what_was_occupied_stays_dear_and_hostile_points_are_far() {
         let mut field = Field::new(10.0);
         let cell = cell_of(Point::new(2.0, 0.0, 2.0));
-        assert!(field.price_of(cell, Occupancy::Occupied, 0.3).is_infinite());
+        assert!(field.price_of(cell, Occupancy::Occupied, false, 0.3).is_infinite());
         let unknown = Occupancy::Unknown(memory::Unknown::OutOfView);
-        assert_eq!(field.price_of(cell, unknown, 0.3), ONCE_OCCUPIED);
-        assert_eq!(field.price_of((cell.0 + REMEMBERED as i64, cell.1), unknown, 0.3), 1.3, "another cell's slot");
-        assert_eq!(field.price_of(cell, Occupancy::Free, 0.3), 1.0);
-        assert_eq!(field.price_of(cell, unknown, 0.3), 1.0);
+        assert_eq!(field.price_of(cell, unknown, false, 0.3), ONCE_OCCUPIED);
+        assert_eq!(
+            field.price_of((cell.0 + REMEMBERED as i64, cell.1), unknown, false, 0.3),
+            1.3,
+            "another cell's slot"
+        );
+        let unmeasured = Occupancy::Unknown(Unknown::NoReturn);
+        assert_eq!(field.price_of((7, 9), unmeasured, false, 0.3), 1.3);
+        assert_eq!(field.price_of((7, 9), unmeasured, true, 0.3), LOOKED_AT, "something may fill the view");
+        assert_eq!(field.price_of(cell, Occupancy::Free, false, 0.3), 1.0);
+        assert_eq!(field.price_of(cell, unknown, false, 0.3), 1.0);
         field.update(&home_only(200.0), &FENCE, AT, GOAL, ASK);
         for hostile in [f64::NAN, f64::INFINITY, -1e300] {
             assert!(!field.to_goal_m(Point::new(hostile, 0.0, 2.0)).is_finite() || hostile.is_finite());

@@ -5,7 +5,7 @@ use crate::{Config, RouteConfig, Situation, TakeOff};
 use ipc_types::limits::Fence;
 use ipc_types::messages::{ExpandedLayout, Layers};
 use ipc_types::noise::NoiseModel;
-use ipc_types::{FlightTime, Point, StereoRig, Vector, World};
+use ipc_types::{Body, FlightTime, Point, Pose, Rotation, StereoRig, Vector, World};
 use memory::{FreeSpace, FreeSpaceRule, Inference, MapModel, View};
 
 pub(crate) fn config() -> Config {
@@ -58,6 +58,19 @@ pub(crate) fn home_only(radius_m: f64) -> View {
     let inference = Inference::Confidence;
     let model = MapModel { rig: RIG, noise, layout, radius_m: 0.5, inference, forget_s: 1.0 };
     View::new(model, FreeSpace::new(rule, Point::ZERO))
+}
+
+/// All is free, but for a wall across the x axis whose margin begins at 4 m, as two images see it.
+pub(crate) fn before_a_wall() -> View {
+    let mut view = home_only(200.0);
+    let value = |depth_m: f64| (RIG.disparity_px(depth_m) * 64.0) as u16;
+    let cells = [value(0.3), value(4.0), value(6.0), 0].repeat(RIG.pixels());
+    let rotation = Rotation::<World, Body>::IDENTITY * Rotation::camera_mount(0.0);
+    let pose = Pose { rotation, translation: Vector::new(0.0, 0.0, 2.0) };
+    for seconds in [0.0, 0.1] {
+        assert!(view.push(pose, FlightTime::from_secs_f64(seconds), cells.clone().into()));
+    }
+    view
 }
 
 pub(crate) fn situation(now: f64, position: Point<World>, velocity: Vector<World>) -> Situation {

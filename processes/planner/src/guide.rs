@@ -5,7 +5,7 @@
 //! admits none.
 
 use crate::Config;
-use crate::map_space::{MapSpace, Questions};
+use crate::map_space::{MapSpace, Questions, ROOM_M};
 use crate::rollout::STEP_S;
 use crate::route::{self, BitStar, Limits, Space, Timed, Timing};
 use ipc_types::limits::Fence;
@@ -26,6 +26,8 @@ const FENCE_M: f64 = 0.3;
 
 /// Ends no farther apart are the same, m.
 const SAME_M: f64 = 0.05;
+/// Room that the path being flown needs, relative to a new one.
+const KEPT_ROOM: f64 = 0.5;
 /// Effort without a path, relative to that with one.
 const WITHOUT: u32 = 4;
 
@@ -67,12 +69,13 @@ impl Guide {
             return;
         }
         self.cut_to(from);
-        let mut space = MapSpace { view, threshold: config.gamma_high, start: from, questions: &mut self.questions };
+        let (threshold, room_m) = (config.gamma_high, KEPT_ROOM * ROOM_M);
+        let mut space = MapSpace { view, threshold, room_m, start: from, questions: &mut self.questions };
         // A vehicle inside a margin leaves it by the first leg.
         let leaving = usize::from(!space.is_free(from));
         let mut legs = self.path.windows(2).skip(leaving);
         let is_free = self.path.len() > 1 && legs.all(|leg| space.is_way_free(leg[0], leg[1]));
-        space.threshold = config.gamma_low;
+        (space.threshold, space.room_m) = (config.gamma_low, ROOM_M);
         // What was blocked of the old path may still be good for something.
         if self.search.begin(&mut space, from, goal, &self.path).is_err() {
             self.path.clear();

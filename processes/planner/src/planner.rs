@@ -14,7 +14,7 @@ use crate::stuck::{Stage, Stuck};
 use ipc_types::limits::Fence;
 use ipc_types::messages::{PlanMode, TrajectoryPoint};
 use ipc_types::{FlightTime, Point, Vector, World};
-use memory::View;
+use memory::{Occupancy, View};
 use std::f64::consts::PI;
 
 /// The climb that a flight begins with.
@@ -222,7 +222,7 @@ impl Planner {
             near_goal: from.position.distance(goal) < LEFT_M,
             half_view_rad: view.half_view_rad(),
         };
-        let admission = Admission { view, fence: &self.fence, config };
+        let admission = Admission::new(view, &self.fence, config);
         let mut tally = Tally::default();
         let rollouts = [&mut self.scratch, &mut self.draft.rollout];
         let course = prices.choose(&admission, &mut self.priced, rollouts, &mut tally);
@@ -258,7 +258,8 @@ impl Planner {
     /// Flies back along the path flown, whose swept volume is free unless an image says otherwise.
     fn back_out(&mut self, situation: &Situation, from: Sample, since: FlightTime, view: &View) -> PlanMode {
         let late = situation.now.seconds_since(since) > BACK_OUT_S;
-        let next = self.stuck.way_back(situation.position).filter(|_| !late);
+        let is_open = |place| view.occupancy(place, self.config.gamma_high) != Occupancy::Occupied;
+        let next = self.stuck.way_back(situation.position, is_open).filter(|_| !late);
         let Some(next) = next else {
             self.stuck.backed_out(situation.now);
             self.brake(from, situation.yaw_rad);
@@ -270,7 +271,7 @@ impl Planner {
         }
         self.flying = None;
         self.draft.rollout.fill(from, Target::Place(next, BACK_OUT_MPS), 1.0, &self.config);
-        let admission = Admission { view, fence: &self.fence, config: &self.config };
+        let admission = Admission::of_retreat(view, &self.fence, &self.config);
         if admission.admit(&self.draft.rollout, self.config.gamma_high).is_err() {
             if situation.now.seconds_since(since) > REFUSED_S {
                 self.stuck.backed_out(situation.now);
@@ -284,7 +285,7 @@ impl Planner {
 
     /// At the goal: closes what is left of the way if all of it is known free, else looks there.
     fn settle(&mut self, situation: &Situation, from: Sample, view: &View) {
-        let admission = Admission { view, fence: &self.fence, config: &self.config };
+        let admission = Admission::new(view, &self.fence, &self.config);
         self.draft.rollout.fill(from, Target::Place(situation.goal, SETTLE_MPS), self.config.horizon_s, &self.config);
         let found = admission.admit(&self.draft.rollout, self.config.gamma_high);
         // So slowly the swept volume alone would admit it, plan by plan, into what was not seen.
@@ -325,7 +326,7 @@ fn travel_heading(velocity: Vector<World>, situation: &Situation) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fixtures::{FENCE, TAKE_OFF, config, home_only, situation};
+    use crate::fixtures::{FENCE, TAKE_OFF, before_a_wall, config, home_only, situation};
 
     /// Follows the planner's own plans, ten a second.
     fn fly(view: &View, seconds: f64) -> (Point<World>, f64, Vec<PlanMode>) {
@@ -388,6 +389,26 @@ mod tests {
         let (position, fastest, _) = fly(&home_only(12.0), 20.0);
         assert!((position - Point::ZERO).horizontal_norm() < 12.0, "{position:?}");
         assert!(fastest > 1.0, "it flies at all: {fastest}");
+    }
+
+    #[test]
+    fn a_vehicle_deep_inside_a_margin_leaves_it_by_the_way_it_came() {
+        let mut view = before_a_wall();
+        let flown = (0..=18).map(|place| Point::new(f64::from(place) * 0.25, 0.0, 2.0));
+        view.free_space_mut().set_path(flown);
+        let mut planner = Planner::new(Config { lead_s: 0.0, ..config() }, FENCE, TAKE_OFF);
+        let (mut position, mut velocity, mut modes) = (Point::new(4.5, 0.0, 2.0), Vector::ZERO, Vec::new());
+        for tick in 0..300 {
+            let plan = planner.step(&situation(f64::from(tick) * 0.1, position, velocity), &view);
+            let next = planner.points().get(1).or(planner.points().last()).expect("a plan has points");
+            (position, velocity) = (Point::from_array(next.position_m), Vector::from_array(next.velocity_mps));
+            if modes.last() != Some(&plan.mode) {
+                modes.push(plan.mode);
+            }
+            assert!(position.x < 4.55, "no deeper: {position:?}");
+        }
+        assert!(modes.contains(&PlanMode::BackOut) && !modes.contains(&PlanMode::GivenUp), "{modes:?} {position:?}");
+        assert!(position.x < 3.9, "{position:?}");
     }
 
     #[test]

@@ -23,6 +23,8 @@ const DWELT_M_PER_S: f64 = 1.5;
 const MOST_DWELT_M: f64 = 10.0;
 /// Places where the vehicle dwelt that are remembered.
 const DWELT_PLACES: usize = 32;
+/// Within this a place to leave a margin to is looked for on the way back, m.
+const LEAVING_M: f64 = 1.5;
 /// Flying about without getting nearer for this long marks the place, s.
 const DETOUR_S: f64 = 30.0;
 
@@ -181,12 +183,23 @@ impl Stuck {
         }
     }
 
-    /// The next place on the way back; `None` once its end is reached. Every place is passed: no corner is cut.
-    pub(crate) fn way_back(&mut self, at: Point<World>) -> Option<Point<World>> {
+    /// The next place on the way back; `None` once its end is reached. Every place is passed, no corner is cut, but for
+    /// those nearby that are not open: a vehicle inside a margin comes to rest outside of it.
+    pub(crate) fn way_back(
+        &mut self,
+        at: Point<World>,
+        is_open: impl Fn(Point<World>) -> bool,
+    ) -> Option<Point<World>> {
         while self.way_back.last().is_some_and(|next| next.distance(at) < 0.4) {
             self.way_back.pop();
         }
-        self.way_back.last().copied()
+        let next = self.way_back.last().copied()?;
+        if is_open(next) && is_open(at) {
+            return Some(next);
+        }
+        // The first open place is at the margin's very edge.
+        let nearby = self.way_back.iter().rev().take_while(|place| place.distance(at) < LEAVING_M).copied();
+        nearby.skip_while(|&place| !is_open(place)).nth(1).or(Some(next))
     }
 
     /// The place to back out to was reached, or was not within a reasonable time.
@@ -245,7 +258,7 @@ mod tests {
             if let Stage::BackingOut { .. } = stuck.stage {
                 let end = stuck.way_back.first().expect("a way back");
                 assert!(end.distance(at) > config.back_out_m - 0.3);
-                assert!(stuck.way_back(at).is_some_and(|next| next.distance(at) < 1.0), "it begins here");
+                assert!(stuck.way_back(at, |_| true).is_some_and(|next| next.distance(at) < 1.0), "it begins here");
                 stuck.backed_out(now);
             } else {
                 stuck.no_plan(now, at, &path, &config);
