@@ -9,11 +9,8 @@ use memory::{Occupancy, View};
 /// Spacing at which the start of a candidate is searched for the way out, m.
 const ESCAPE_SPACING_M: f64 = 0.05;
 
-/// Nearer than this a look from here will not make known what is not, m.
-const TOO_NEAR_M: f64 = 0.9;
-
-/// A retreat may begin with an occupied stretch so many times as long as other candidates: all of a margin.
-const RETREAT: f64 = 2.5;
+/// A retreat may begin with an occupied stretch so many times as long as other candidates: about all of a margin.
+const RETREAT: f64 = 2.0;
 
 /// Asks the map about candidates.
 #[derive(Clone, Copy, Debug)]
@@ -118,7 +115,8 @@ impl Admission<'_> {
     pub(crate) fn promises(&self, rollout: &Rollout, threshold: f32) -> Option<Admitted> {
         let escape = self.escape(rollout, threshold).ok()?;
         let from = rollout.samples[0].position;
-        let near = rollout.samples.iter().take_while(|sample| sample.position.distance(from) < TOO_NEAR_M).count();
+        let near =
+            rollout.samples.iter().take_while(|sample| sample.position.distance(from) < self.config.blind_m).count();
         self.walk(rollout, near, threshold, escape).ok()
     }
 

@@ -76,7 +76,7 @@ impl Prices<'_> {
         let heading_rad = way.y.atan2(way.x);
         let slow = self.situation.velocity.norm() < LOOK_FIRST_MPS && !self.near_goal;
         let turns = slow && !is_seen(heading_rad, self.situation.yaw_rad, self.half_view_rad);
-        // Every look from here makes turning away dearer, or the vehicle would never be done with looking.
+        // Every look from here makes turning away dearer, by the square of their number: it must be done with looking.
         let looks = if turns { 1 + self.gaze.looks(self.situation) } else { 0 };
         let turning_m = self.config.look_price_m * (looks * looks) as f64;
         // Also where it comes to rest: what shoots past the goal is no nearer to it.

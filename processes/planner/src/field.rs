@@ -20,9 +20,9 @@ const CLEARANCE: usize = 2;
 /// Price of a cell that was occupied when last seen, relative to a free one.
 const ONCE_OCCUPIED: f32 = 5.0;
 
-/// Price of a cell that was looked at from near and not measured, relative to a free one: something may fill the view.
+/// Least price of a cell near the vehicle that was looked at in vain, relative to a free one: something may fill the view.
 const LOOKED_AT: f32 = 5.0;
-/// So near, m.
+/// So near, m. Cells a little beyond what a search shuns are dear before they are shunned.
 const NEAR_M: f64 = 3.0;
 
 /// What a cell was when it was last known.
@@ -133,7 +133,7 @@ impl Field {
                 return match self.memory[slot].filter(|memory| memory.cell == cell) {
                     Some(Memory { occupied: true, .. }) => ONCE_OCCUPIED,
                     Some(_) => 1.0,
-                    None if is_near && why == Unknown::NoReturn => LOOKED_AT,
+                    None if is_near && why == Unknown::NoReturn => LOOKED_AT.max(1.0 + unknown_price),
                     None => 1.0 + unknown_price,
                 };
             }

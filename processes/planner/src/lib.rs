@@ -72,7 +72,7 @@ pub struct Config {
     pub jerk_mps3: f64,
     /// Deceleration of a stop for want of an admissible plan, m/s².
     pub hard_braking_mps2: f64,
-    /// How far from a candidate's start an occupied stretch may reach that leads out of a margin the vehicle is in, m.
+    /// How far from a candidate's start an occupied stretch may reach that leads out of a margin the vehicle is in, m; twice as far by the way it came.
     pub escape_m: f64,
     /// Speed of take-off, m/s.
     pub take_off_mps: f64,
@@ -86,8 +86,12 @@ pub struct Config {
     pub height_price: f64,
     /// How much cheaper a new plan must be than the one being flown, m.
     pub hysteresis_m: f64,
-    /// Price of turning the camera to where it does not look before setting out there, m.
+    /// Price of turning the camera to where it does not look before setting out there, m; the n-th look from a place costs
+    /// n² times as much.
     pub look_price_m: f64,
+    /// What is unknown and nearer than this no look from here makes known, m: the body does not fit into the view, or
+    /// stereo does not match.
+    pub blind_m: f64,
     /// Time without an admissible plan before looking around, s.
     pub patience_s: f64,
     /// Distance to back out before trying again, m.
@@ -159,6 +163,7 @@ impl Config {
         bounds.range("height_price", self.height_price, 0.0..=100.0);
         bounds.range("hysteresis_m", self.hysteresis_m, 0.0..=10.0);
         bounds.range("look_price_m", self.look_price_m, 0.0..=100.0);
+        bounds.range("blind_m", self.blind_m, 0.0..=10.0);
         bounds.range("patience_s", self.patience_s, 0.1..=30.0);
         bounds.range("back_out_m", self.back_out_m, 0.5..=50.0);
         bounds.range("attempts", self.attempts, 0..=100);

@@ -1,4 +1,5 @@
-//! The map as a search sees it: what is not occupied may be flown through, known or not.
+//! The map as a search sees it: what is not occupied may be flown through, known or not, but for what is near the vehicle
+//! and was looked at in vain.
 //!
 //! Ways are asked about at places a fixed spacing apart, many at once. That is good enough to choose a way by: what is
 //! flown is admitted by [`crate::admission`], which leaves nothing out.
@@ -15,7 +16,7 @@ const SPACING_M: f64 = 0.125;
 pub(crate) const ROOM_M: f64 = 0.12;
 /// The room grows by this share of the distance from the vehicle, which may be nearer to something.
 const GROWTH: f64 = 0.3;
-/// What was looked at nearer than this and not measured is not flown through, m.
+/// What is nearer to the vehicle than this and was looked at in vain is not flown through, m: something may fill the view.
 const NEAR_M: f64 = 2.5;
 /// Sides of a way that its places lie on in turn: it is asked about along a helix.
 const TURNS: [(f64, f64); 4] = [(1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)];
@@ -66,7 +67,6 @@ impl MapSpace<'_> {
             if asked.is_err() || answers.contains(&Occupancy::Occupied) {
                 return false;
             }
-            // Of what was looked at from near and not measured, something may fill the view.
             let is_hidden = |(lane, &answer): (usize, &Occupancy)| {
                 answer == Occupancy::Unknown(Unknown::NoReturn) && place(first + lane).distance(start) < NEAR_M
             };
@@ -81,7 +81,15 @@ impl MapSpace<'_> {
 impl Space for MapSpace<'_> {
     fn is_free(&mut self, place: Point<World>) -> bool {
         let room_m = self.room_m.min(GROWTH * place.distance(self.start));
-        let sides = [[0.0; 3], [1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0]];
+        let sides = [
+            [0.0; 3],
+            [1.0, 0.0, 0.0],
+            [-1.0, 0.0, 0.0],
+            [0.0, 1.0, 0.0],
+            [0.0, -1.0, 0.0],
+            [0.0, 0.0, 1.0],
+            [0.0, 0.0, -1.0],
+        ];
         self.are_free(sides.len(), |side| place + Vector::from_array(sides[side]) * room_m)
     }
 

@@ -123,7 +123,7 @@ fn follow(path: &[Timed], passed: &mut usize, at: Point<World>, speed: f64) -> V
             tangent * next.velocity.norm().min(speed) + across * (1.0 / ONTO_PATH_S)
         }
         // At the end the place counts, not the speed there, which is none.
-        None => (path[last].at - at) * (1.0 / SETTLE_S),
+        None => (next.at - at) * (1.0 / SETTLE_S),
     }
     .clamp_norm(speed)
 }
@@ -182,7 +182,7 @@ mod tests {
         let off_m = |sample: &Sample| {
             timed.iter().map(|timed| timed.at.distance(sample.position)).fold(f64::INFINITY, f64::min)
         };
-        assert!(rollout.samples.iter().all(|sample| off_m(sample) < 0.5 && sample.velocity.norm() < 3.01));
+        assert!(rollout.samples.iter().all(|sample| off_m(sample) < 0.12 && sample.velocity.norm() < 3.01));
         assert!(rollout.end_of_going().position.distance(path[2]) < 0.2, "{:?}", rollout.end_of_going());
         rollout.fill(start(2.0), Target::Along(&[], 3.0), 8.0, &config);
         assert!(rollout.end_of_going().position.x < 1.0, "it stops");

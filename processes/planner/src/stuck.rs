@@ -23,8 +23,12 @@ const DWELT_M_PER_S: f64 = 1.5;
 const MOST_DWELT_M: f64 = 10.0;
 /// Places where the vehicle dwelt that are remembered.
 const DWELT_PLACES: usize = 32;
-/// Within this a place to leave a margin to is looked for on the way back, m.
+/// A place of the way back nearer than this is passed, m.
+const PASSED_M: f64 = 0.4;
+/// Within this a place to leave a margin to is looked for on the way back, m ...
 const LEAVING_M: f64 = 1.5;
+/// ... which must be straight up to there but for so much, m.
+const STRAIGHT_M: f64 = 0.15;
 /// Flying about without getting nearer for this long marks the place, s.
 const DETOUR_S: f64 = 30.0;
 
@@ -183,23 +187,34 @@ impl Stuck {
         }
     }
 
-    /// The next place on the way back; `None` once its end is reached. Every place is passed, no corner is cut, but for
-    /// those nearby that are not open: a vehicle inside a margin comes to rest outside of it.
+    /// The next place on the way back; `None` once its end is reached. Every place is passed, no corner is cut. From
+    /// inside a margin it is the second open one, for the first lies at the margin's very edge, as far as the way there
+    /// is straight.
     pub(crate) fn way_back(
         &mut self,
         at: Point<World>,
         is_open: impl Fn(Point<World>) -> bool,
     ) -> Option<Point<World>> {
-        while self.way_back.last().is_some_and(|next| next.distance(at) < 0.4) {
-            self.way_back.pop();
+        let nearby = self.way_back.iter().rev().take_while(|place| place.distance(at) < LEAVING_M).count();
+        let first = self.way_back.len() - nearby;
+        if let Some(passed) = self.way_back[first..].iter().position(|place| place.distance(at) < PASSED_M) {
+            self.way_back.truncate(first + passed);
         }
-        let next = self.way_back.last().copied()?;
-        if is_open(next) && is_open(at) {
+        let mut next = *self.way_back.last()?;
+        if is_open(at) {
             return Some(next);
         }
-        // The first open place is at the margin's very edge.
-        let nearby = self.way_back.iter().rev().take_while(|place| place.distance(at) < LEAVING_M).copied();
-        nearby.skip_while(|&place| !is_open(place)).nth(1).or(Some(next))
+        let (mut open, nearby) = (0, &self.way_back[first.min(self.way_back.len())..]);
+        for (index, &place) in nearby.iter().enumerate().rev() {
+            let is_on_line = |skipped: &Point<World>| off_line_m(*skipped, at, place) < STRAIGHT_M;
+            if open == 2 || !nearby[index..].iter().all(is_on_line) {
+                break;
+            }
+            if is_open(place) {
+                (next, open) = (place, open + 1);
+            }
+        }
+        Some(next)
     }
 
     /// The place to back out to was reached, or was not within a reasonable time.
@@ -227,6 +242,13 @@ impl Stuck {
 
 /// Share of the vehicle's turn rate at which it looks around: slow enough for every direction to be seen sharply.
 pub(crate) const LOOK_SHARE: f64 = 0.6;
+
+/// Distance of a point from the line between two others, m.
+fn off_line_m(point: Point<World>, from: Point<World>, to: Point<World>) -> f64 {
+    let way = to - from;
+    let share = ((point - from).dot(way) / way.dot(way).max(1e-12)).clamp(0.0, 1.0);
+    point.distance(from.lerp(to, share))
+}
 
 /// Index of the place on the path that lies `distance_m` back along it from `at`.
 fn back_along(path: &[Point<World>], at: Point<World>, distance_m: f64) -> Option<usize> {
@@ -270,6 +292,29 @@ mod tests {
         assert_eq!(stuck.stage, Stage::GivenUp);
         let rounds = config.attempts as usize;
         assert_eq!(stages.len(), 2 + 2 * rounds + 1, "waiting, then rounds of looking and backing, then the end");
+    }
+
+    #[test]
+    fn the_way_out_of_a_margin_skips_what_is_not_open_and_cuts_no_corner() {
+        let way = |bend: f64| {
+            let mut stuck = Stuck::new();
+            // The vehicle came along x and, from 1 m on, perhaps at an angle.
+            let flown = |i: i32| Point::new(0.25 * f64::from(i), bend * (0.25 * f64::from(i) - 1.0).max(0.0), 2.0);
+            stuck.way_back = (0..=8).map(flown).collect();
+            (stuck, flown(8))
+        };
+        let (mut straight, at) = way(0.0);
+        assert_eq!(straight.way_back(at, |_| true).map(|next| next.x), Some(1.5), "not nearer than what is passed");
+        let (mut straight, at) = way(0.0);
+        assert_eq!(straight.way_back(at, |place| place.x < 1.2).map(|next| next.x), Some(0.75), "the second open one");
+        assert_eq!(straight.way_back(at, |place| place.x < 0.9).map(|next| next.x), Some(0.75), "the only one nearby");
+        let (mut bent, at) = way(1.0);
+        let next = bent.way_back(at, |place| place.x < 0.9).expect("a way");
+        assert!(off_line_m(Point::new(1.0, 0.0, 2.0), at, next) < STRAIGHT_M || next.x >= 1.0, "{next:?}");
+        // Passed at a little distance, a place is passed all the same.
+        let beside = Point::new(1.0, 0.3, 2.0);
+        assert!(straight.way_back(beside, |_| true).is_some_and(|next| next.x < 1.0));
+        assert_eq!(straight.way_back(Point::new(0.1, 0.0, 2.0), |_| true), None);
     }
 
     #[test]
