@@ -36,11 +36,11 @@ fn configurations_that_cannot_be() {
     let cases = [
         (
             "default.ron",
-            "cruise_speed_mps: 5.0",
+            "cruise_speed_mps: 5.5",
             "cruise_speed_mps: NaN",
             vec!["mission.cruise_speed_mps", "NaN", "0.2 to 20"],
         ),
-        ("default.ron", "cruise_speed_mps: 5.0", "cruise_speed_mps: 15.0", vec!["cruise_speed_mps", "stopping takes"]),
+        ("default.ron", "cruise_speed_mps: 5.5", "cruise_speed_mps: 15.0", vec!["cruise_speed_mps", "stopping takes"]),
         ("default.ron", "mission: (", "mision: (", vec!["default.ron:", "mision"]),
         ("default.ron", "scout.ron", "absent.ron", vec!["absent.ron", "No such file"]),
         ("vehicles/scout.ron", "sigma_px: 0.4", "sigma_px: -1.0", vec!["scout.ron", "noise.sigma_px", "-1"]),
