@@ -2,6 +2,7 @@
 
 use crate::config::FlightConfig;
 use crate::display::{Display, why_not_ready};
+use crate::draw::Pictures;
 use crate::graph::Flight;
 use crate::graph_config::Member;
 use crate::run_files::{CONFIG, RunFiles, VERSION, fresh_name};
@@ -44,6 +45,10 @@ pub(crate) struct FlyArguments {
     /// All processes in one thread, repeatable to the bit, as fast as the machine can.
     #[arg(long)]
     pub(crate) lockstep: bool,
+    /// At these flight times, s, draw the map, the plan and the keyframes: from above and over the camera's view (PNG in
+    /// the run directory). Repeat, or separate by commas.
+    #[arg(long, value_name = "S", value_delimiter = ',', requires = "lockstep")]
+    pub(crate) draw: Vec<f64>,
     /// Fly without looking: shows what avoidance is worth.
     #[arg(long)]
     pub(crate) no_avoidance: bool,
@@ -95,7 +100,7 @@ pub(crate) fn fly(arguments: &FlyArguments) -> Result<ExitCode, Box<dyn Error>> 
     let lock = run.take()?;
     let files = RunFiles::create(&arguments.run_dir, &name, &config, arguments.summary.as_deref())?;
     let summary = match arguments.lockstep {
-        true => fly_in_lockstep(&config, &files)?,
+        true => fly_in_lockstep(&config, &files, &arguments.draw)?,
         false => fly_processes(&config, &run, &files, signals)?,
     };
     drop(lock);
@@ -104,19 +109,23 @@ pub(crate) fn fly(arguments: &FlyArguments) -> Result<ExitCode, Box<dyn Error>> 
     Ok(if summary.outcome == Outcome::Arrived { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
-fn fly_in_lockstep(config: &FlightConfig, files: &RunFiles) -> Result<Summary, Box<dyn Error>> {
+fn fly_in_lockstep(config: &FlightConfig, files: &RunFiles, draw: &[f64]) -> Result<Summary, Box<dyn Error>> {
     let stop = std::sync::Arc::new(std::sync::atomic::AtomicBool::new(false));
     crate::cli::stop_on_signals(&stop)?;
     let snapshot = config.snapshot();
     let attachments = [(CONFIG, snapshot.as_str()), ("version.txt", VERSION)];
     let recorder = RecorderProcess::create(&files.log(), &attachments, config.record_images, &config.vehicle.rig)?;
     let mut display = Display::new(config.mission.goal());
-    let summary = Flight::new(config, Some(recorder))?.fly(|mission| {
+    let mut flight = Flight::new(config, Some(recorder))?;
+    let mut pictures = Pictures::new(config, flight.scene(), draw, files.folder());
+    let mut failed = None;
+    let summary = flight.fly(|mission| {
         display.show(mission, &[]);
+        failed = failed.take().or(pictures.draw_due(mission.now()).err());
         !stop.load(std::sync::atomic::Ordering::Relaxed)
     });
     display.clear();
-    Ok(summary)
+    failed.map_or(Ok(summary), Err)
 }
 
 /// The command line of a child.

@@ -8,7 +8,7 @@ use memory::{MapModel, MemoryProcess};
 use planner::{PlannerProcess, TakeOff};
 use recorder::RecorderProcess;
 use runtime::lockstep::Lockstep;
-use simulator::{SimulatorSetup, World, WorldError};
+use simulator::{SimulatorProcess, SimulatorSetup, World, WorldError};
 use std::cell::RefCell;
 use std::rc::Rc;
 use std::sync::Arc;
@@ -103,11 +103,22 @@ pub fn simulator(config: &FlightConfig) -> Result<SimulatorSetup, WorldError> {
     })
 }
 
+/// What of a flight in lockstep may be looked at between two steps.
+#[derive(Clone, Debug)]
+pub struct Scene {
+    /// With its map and its plan.
+    pub planner: Rc<RefCell<PlannerProcess>>,
+    /// With the world and the vehicle.
+    pub simulator: Rc<RefCell<SimulatorProcess>>,
+}
+
 /// A whole flight in lockstep.
 #[derive(Debug)]
 pub struct Flight {
     lockstep: Lockstep,
     mission: Rc<RefCell<Mission>>,
+    planner: Rc<RefCell<PlannerProcess>>,
+    simulator: Rc<RefCell<SimulatorProcess>>,
 }
 
 impl Flight {
@@ -118,19 +129,24 @@ impl Flight {
     pub fn new(config: &FlightConfig, recorder: Option<RecorderProcess>) -> Result<Self, WorldError> {
         let mut lockstep = Lockstep::new(config.seed, config.graph.latency.clone());
         let mission = lockstep.add(Mission::new(config.mission));
-        lockstep.add(simulator::SimulatorProcess::inline(simulator(config)?));
+        let simulator = lockstep.add(SimulatorProcess::inline(simulator(config)?));
         lockstep.add(stereo_ingest(config));
         lockstep.add(expansion(config));
         lockstep.add(memory(config));
-        lockstep.add(planner(config));
+        let planner = lockstep.add(planner(config));
         lockstep.add(controller(config));
         recorder.map(|recorder| lockstep.add(recorder));
-        Ok(Self { lockstep, mission })
+        Ok(Self { lockstep, mission, planner, simulator })
     }
 
     /// How long the planner's steps took on this machine.
     pub fn planning_times(&self) -> LatencySummary {
         self.lockstep.step_times_us(ProcessId::Planner).map(LatencySummary::of_us).unwrap_or_default()
+    }
+
+    /// What may be looked at while it flies: the planner and the world, for drawing them.
+    pub fn scene(&self) -> Scene {
+        Scene { planner: Rc::clone(&self.planner), simulator: Rc::clone(&self.simulator) }
     }
 
     /// Flies to the end. `watch` is called as flight time passes; when it returns false the flight is interrupted.

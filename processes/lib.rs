@@ -20,6 +20,7 @@ pub mod cli;
 pub mod config;
 mod curves;
 mod display;
+mod draw;
 mod evaluate;
 mod expand;
 mod fly;

@@ -8,7 +8,7 @@ use crate::simd::prefetch;
 use crate::votes::{Said, Tally, Votes, flag};
 use ipc_types::messages::{ExpandedLayout, Layers, UNKNOWN_FRONT};
 use ipc_types::noise::NoiseModel;
-use ipc_types::{Camera, FlightTime, Point, Pose, StereoRig, World};
+use ipc_types::{Camera, FlightTime, Point, Pose, StereoRig, Vector, World};
 use multiversion::multiversion;
 use runtime::images::StoredImage;
 
@@ -204,6 +204,11 @@ impl View {
         let rig = &self.model.rig;
         let half_px = rig.cx_px.min(f64::from(rig.width_px) - 1.0 - rig.cx_px);
         (half_px / rig.focal_px).atan()
+    }
+
+    /// Where the keyframes were taken from, and along which direction their cameras looked; from the newest to the oldest.
+    pub fn cameras(&self) -> impl Iterator<Item = (Point<World>, Vector<World>)> {
+        self.keys.iter().map(|key| (key.origin, Vector::from_array(key.rotation[2].map(f64::from))))
     }
 
     /// Number of keyframes.

@@ -93,6 +93,11 @@ impl Guide {
         route::shorten(&mut self.path, &mut self.spare, &mut space, SHORTEN_SEGMENTS);
     }
 
+    /// The path, from the vehicle to the goal; empty without one.
+    pub(crate) fn path(&self) -> &[Point<World>] {
+        &self.path
+    }
+
     /// Times the path for a vehicle that flies along it at `start_mps`.
     pub(crate) fn time(&mut self, start_mps: f64, limits: &Limits) {
         self.timing.time(&self.path, TIMED_M, start_mps, limits, STEP_S);

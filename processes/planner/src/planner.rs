@@ -107,6 +107,11 @@ impl Planner {
         &self.draft.points
     }
 
+    /// The way to the goal that guides it, from the vehicle on; empty without one.
+    pub fn way(&self) -> &[Point<World>] {
+        self.guide.path()
+    }
+
     /// Plans from a situation and a map.
     pub fn step(&mut self, situation: &Situation, view: &View) -> Plan {
         let start = situation.now + std::time::Duration::from_secs_f64(self.config.lead_s);

@@ -2,7 +2,7 @@
 
 use crate::{Config, Planner, Situation, TakeOff};
 use ipc_types::limits::Fence;
-use ipc_types::messages::{Goal, Keyframe, PlanMode, VehicleState};
+use ipc_types::messages::{Goal, Keyframe, PlanMode, TrajectoryPoint, VehicleState};
 use ipc_types::topics::{Goals, Keyframes, Path, Plan, State};
 use ipc_types::{FlightTime, Point, ProcessId, World};
 use memory::{FreeSpace, FreeSpaceRule, MapModel, View};
@@ -47,6 +47,21 @@ impl PlannerProcess {
         *self.view.free_space_mut() = FreeSpace::new(everywhere, home);
         self.avoidance = false;
         self
+    }
+
+    /// The map as of the last plan.
+    pub fn view(&self) -> &View {
+        &self.view
+    }
+
+    /// The plan that was published last.
+    pub fn points(&self) -> &[TrajectoryPoint] {
+        self.planner.points()
+    }
+
+    /// The way to the goal that guides it; empty without one.
+    pub fn way(&self) -> &[Point<World>] {
+        self.planner.way()
     }
 
     /// Brings the view up to date with a keyframe set. Returns whether it is complete: a missing keyframe may be the one

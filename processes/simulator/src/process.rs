@@ -8,7 +8,7 @@ use crate::world::World;
 use ipc_types::bounds::Bounds;
 use ipc_types::rig::CameraMount;
 use ipc_types::topics::{Clock, Setpoints, State, StereoFrames, Truth};
-use ipc_types::{Camera, FlightTime, HostTime, Point, Pose, ProcessId, StereoRig, Vector, World as WorldFrame};
+use ipc_types::{Body, Camera, FlightTime, HostTime, Point, Pose, ProcessId, StereoRig, Vector, World as WorldFrame};
 use runtime::{Connect, Message, Ports, Process, Report};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -175,6 +175,16 @@ impl SimulatorProcess {
             report: Report::waiting("starting"),
             setup,
         }
+    }
+
+    /// The vehicle's true pose.
+    pub fn world_from_body(&self) -> Pose<WorldFrame, Body> {
+        self.vehicle.world_from_body()
+    }
+
+    /// The world that it flies in.
+    pub fn world(&self) -> &Arc<World> {
+        &self.setup.world
     }
 
     /// One step of the dynamics, up to `now`.

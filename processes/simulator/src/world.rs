@@ -223,6 +223,24 @@ pub enum Shape {
     },
 }
 
+impl Shape {
+    /// Whether a point lies in it.
+    pub fn contains(&self, point: Point<WorldFrame>) -> bool {
+        match *self {
+            Self::Capsule { from, to, radius_m } => {
+                let way = to - from;
+                let share = ((point - from).dot(way) / way.dot(way).max(1e-12)).clamp(0.0, 1.0);
+                point.distance(from.lerp(to, share)) <= radius_m
+            }
+            Self::Cuboid { centre, half_m, heading_rad } => {
+                let (offset, (sin, cos)) = (point - centre, heading_rad.sin_cos());
+                let along = [offset.x * cos + offset.y * sin, offset.y * cos - offset.x * sin, offset.z];
+                along.iter().zip(half_m).all(|(along, half)| along.abs() <= half)
+            }
+        }
+    }
+}
+
 /// A solid and what it looks like.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Obstacle {
