@@ -22,6 +22,8 @@ pub(crate) struct Case {
     pub(crate) cruise_mps: f64,
     /// Whether the planner looks at the map.
     pub(crate) avoidance: bool,
+    /// Whether camera and matcher are modelled instead of rendered.
+    pub(crate) noise_camera: bool,
     /// Seed of the world and of all noise.
     pub(crate) seed: u64,
 }
@@ -29,17 +31,18 @@ pub(crate) struct Case {
 impl Case {
     /// As a text that no other case has.
     pub(crate) fn key(&self) -> String {
-        let Self { config, world, cruise_mps, avoidance, seed } = self;
-        format!("{config}\n{world}\n{cruise_mps}\n{avoidance}\n{seed}")
+        let Self { config, world, cruise_mps, avoidance, noise_camera, seed } = self;
+        format!("{config}\n{world}\n{cruise_mps}\n{avoidance}\n{noise_camera}\n{seed}")
     }
 }
 
 /// The table's columns: the fields of [`Row`], in order.
-const COLUMNS: [&str; 23] = [
+const COLUMNS: [&str; 24] = [
     "config",
     "world",
     "cruise_mps",
     "avoidance",
+    "noise_camera",
     "seed",
     "outcome",
     "flight_time_s",
@@ -68,6 +71,7 @@ pub(crate) struct Row {
     world: String,
     cruise_mps: f64,
     avoidance: bool,
+    noise_camera: bool,
     seed: u64,
     pub(crate) outcome: Outcome,
     flight_time_s: f64,
@@ -93,12 +97,13 @@ pub(crate) struct Row {
 
 impl Row {
     pub(crate) fn new(case: &Case, made_by: &MadeBy, summary: &Summary, planning: LatencySummary) -> Self {
-        let Case { config, world, cruise_mps, avoidance, seed } = case.clone();
+        let Case { config, world, cruise_mps, avoidance, noise_camera, seed } = case.clone();
         Self {
             config,
             world,
             cruise_mps,
             avoidance,
+            noise_camera,
             seed,
             outcome: summary.outcome,
             flight_time_s: summary.flight_time_s,
@@ -122,8 +127,8 @@ impl Row {
     }
 
     pub(crate) fn case(&self) -> Case {
-        let Self { config, world, cruise_mps, avoidance, seed, .. } = self.clone();
-        Case { config, world, cruise_mps, avoidance, seed }
+        let Self { config, world, cruise_mps, avoidance, noise_camera, seed, .. } = self.clone();
+        Case { config, world, cruise_mps, avoidance, noise_camera, seed }
     }
 }
 
@@ -355,6 +360,7 @@ mod tests {
             world: "a, world".to_owned(),
             cruise_mps: 0.1 + 0.2,
             avoidance: true,
+            noise_camera: false,
             seed,
             outcome,
             flight_time_s: 20.0,

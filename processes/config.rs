@@ -73,6 +73,8 @@ pub struct FlightConfig {
     pub avoidance: bool,
     /// Whether images are recorded.
     pub record_images: bool,
+    /// Whether the simulator models camera and matcher instead of rendering pairs.
+    pub noise_camera: bool,
 }
 
 /// The configuration files that ship, compiled in.
@@ -187,7 +189,7 @@ impl FlightConfig {
         let (graph_path, text) = source.read(&file.graph)?;
         let graph = parse(&graph_path, &text)?;
         let config =
-            Self { vehicle, world, graph, mission: file.mission, seed: 0, avoidance: true, record_images: false };
+            Self { vehicle, world, graph, mission: file.mission, seed: 0, avoidance: true, record_images: false, noise_camera: false };
         let files = [label, vehicle_path, world_path, graph_path];
         config.check_values(&files)?;
         Ok(config)

@@ -47,6 +47,9 @@ pub(crate) struct EvaluateArguments {
     /// Fly without looking: shows what avoidance is worth.
     #[arg(long)]
     no_avoidance: bool,
+    /// Model what the stereo camera and its matcher get wrong instead of rendering and matching pairs: faster.
+    #[arg(long)]
+    noise_camera: bool,
     /// The table (CSV). Flights that it holds already are not flown again.
     #[arg(long, value_name = "FILE", default_value = "campaign.csv")]
     out: PathBuf,
@@ -151,6 +154,7 @@ impl EvaluateArguments {
     ) -> Result<(Case, FlightConfig), Box<dyn Error>> {
         let mut config = FlightConfig::load_for_simulator(path, world)?;
         config.avoidance = !self.no_avoidance;
+        config.noise_camera = self.noise_camera;
         config.mission.cruise_speed_mps = speed.unwrap_or(config.mission.cruise_speed_mps);
         config.check()?;
         let name = |path: &Path| path.display().to_string();
@@ -159,6 +163,7 @@ impl EvaluateArguments {
             world: world.unwrap_or("default").to_owned(),
             cruise_mps: config.mission.cruise_speed_mps,
             avoidance: config.avoidance,
+            noise_camera: config.noise_camera,
             seed: 0,
         };
         Ok((case, config))

@@ -52,6 +52,9 @@ pub(crate) struct FlyArguments {
     /// Fly without looking: shows what avoidance is worth.
     #[arg(long)]
     pub(crate) no_avoidance: bool,
+    /// Model what the stereo camera and its matcher get wrong instead of rendering and matching pairs: faster.
+    #[arg(long)]
+    pub(crate) noise_camera: bool,
     /// Record images too.
     #[arg(long)]
     pub(crate) record_images: bool,
@@ -83,6 +86,7 @@ impl FlyArguments {
         config.seed = self.seed;
         config.avoidance = !self.no_avoidance;
         config.record_images = self.record_images;
+        config.noise_camera = self.noise_camera;
         config.mission.goal_m = self.goal.unwrap_or(config.mission.goal_m);
         config.mission.cruise_speed_mps = self.speed.unwrap_or(config.mission.cruise_speed_mps);
         config.mission.time_limit_s = self.time_limit.unwrap_or(config.mission.time_limit_s);

@@ -18,13 +18,14 @@ use supervisor::{LatencySummary, Mission, Outcome, Summary};
 /// The stereo-ingest process of a configuration.
 pub fn stereo_ingest(config: &FlightConfig) -> StereoProcess {
     let vehicle = &config.vehicle;
-    StereoProcess::new(vehicle.rig, &vehicle.source, vehicle.stereo, config.rectifier())
+    let source = if config.noise_camera { Source::Matched } else { vehicle.source };
+    StereoProcess::new(vehicle.rig, &source, vehicle.stereo, config.rectifier())
 }
 
 /// How near the vehicle's sensor measures.
 pub fn reach(vehicle: &VehicleConfig) -> Reach {
     match vehicle.source {
-        Source::Stereo => Reach::Matched { most_px: vehicle.stereo.max_disparity_px as f32 },
+        Source::Stereo | Source::Matched => Reach::Matched { most_px: vehicle.stereo.max_disparity_px as f32 },
         Source::Depth { nearest_m, .. } => Reach::Ranged { nearest_m },
         Source::Disparity { most_px, .. } => Reach::Matched { most_px: most_px as f32 },
     }
@@ -100,6 +101,7 @@ pub fn simulator(config: &FlightConfig) -> Result<SimulatorSetup, WorldError> {
         start: config.mission.start(),
         start_yaw_rad: config.mission.start_heading_deg.to_radians(),
         seed: config.seed,
+        noise_camera: config.noise_camera,
     })
 }
 

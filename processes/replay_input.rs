@@ -110,7 +110,7 @@ fn parse_format(text: &str) -> Result<PixelFormat, String> {
 pub(crate) fn content(source: &Source) -> Content {
     match source {
         Source::Stereo => Content::Pairs,
-        Source::Depth { .. } | Source::Disparity { .. } => Content::Depth,
+        Source::Matched | Source::Depth { .. } | Source::Disparity { .. } => Content::Depth,
     }
 }
 

@@ -142,7 +142,7 @@ topics! {
         from [Simulator, Player, Camera], to [wakes(StereoIngest), reads(Recorder), reads(Supervisor)];
     /// Depth images, and disparity images that the sensor matched itself.
     DepthFrames: "depth_frame", DepthFrame, [u16; |rig| rig.pixels()], 12.5 Hz, history 1, depth 1, image true,
-        from [Player, Camera], to [wakes(StereoIngest), reads(Recorder), reads(Supervisor)];
+        from [Simulator, Player, Camera], to [wakes(StereoIngest), reads(Recorder), reads(Supervisor)];
     /// Disparity images.
     Disparity: "disparity_image", DisparityImage, [u16; |rig| rig.pixels()], 12.5 Hz, history 1, depth 1, image true,
         from [StereoIngest], to [wakes(Expansion), reads(Recorder), reads(Supervisor)];

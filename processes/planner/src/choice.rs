@@ -81,8 +81,20 @@ impl Prices<'_> {
         let turning_m = self.config.look_price_m * (looks * looks) as f64;
         // Also where it comes to rest: what shoots past the goal is no nearer to it.
         let rest = rollout.samples.last().map_or(end, |rest| rest.position);
-        let price_m = self.to_goal_m(end).max(self.to_goal_m(rest)) + self.stuck.price(end) + turning_m - hysteresis_m;
+        let price_m = self.to_goal_m(end).max(self.to_goal_m(rest)) + self.turning_m(rollout.end_of_going())
+            + self.stuck.price(end) + turning_m - hysteresis_m;
         Some(Priced { index, price_m, heading_rad, turns })
+    }
+
+    /// What it costs to get from a velocity to the one that the rest of the way asks for, as the distance that is lost
+    /// on the way there: a turn at speed v by acceleration a takes as long as v·|Δv|²/(2 a v²).
+    fn turning_m(&self, end: Sample) -> f64 {
+        let Some(downhill) = self.field.downhill(end.position).filter(|_| !self.near_goal) else { return 0.0 };
+        let left_m = end.position.distance(self.situation.goal);
+        let able_mps = (2.0 * self.config.braking_mps2 * left_m).sqrt();
+        let wanted = downhill * self.situation.cruise_mps.min(able_mps);
+        let change = (wanted - end.velocity).horizontal_norm();
+        self.config.turning_price * change * change / (2.0 * self.config.acceleration_mps2)
     }
 
     /// What remains to the goal, m: around what is known at this height and remembered there. A way that is much longer

@@ -6,7 +6,7 @@
 //! must not wall the vehicle in. The field prices candidates and admits none: that is [`crate::admission`]'s alone.
 
 use ipc_types::limits::Fence;
-use ipc_types::{Point, World};
+use ipc_types::{Point, Vector, World};
 use memory::{Occupancy, Points, Scratch, Unknown, View};
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -25,11 +25,19 @@ const LOOKED_AT: f32 = 5.0;
 /// So near, m. Cells a little beyond what a search shuns are dear before they are shunned.
 const NEAR_M: f64 = 3.0;
 
+/// Price of a cell that is occupied as far as can be told from afar, relative to a free one: noise makes walls of far trunks
+/// that have gaps from near.
+const FAR_OCCUPIED: f32 = 3.0;
+/// So far, m.
+const FAR_M: f64 = 6.0;
+
 /// What a cell was when it was last known.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Memory {
     cell: (i64, i64),
     occupied: bool,
+    /// Whether it was occupied when looked at from near.
+    closed: bool,
 }
 
 /// Cost-to-go around the vehicle.
@@ -84,8 +92,8 @@ impl Field {
         for index in 0..self.price.len() {
             let cell = self.cell(index);
             self.price[index] = if asked.is_ok() && fence.contains(centre(cell, at.z)) {
-                let is_near = centre(cell, at.z).distance(at) < NEAR_M;
-                self.price_of(cell, self.seen[index], is_near, ask.unknown_price)
+                let from_m = centre(cell, at.z).distance(at);
+                self.price_of(cell, self.seen[index], from_m, ask.unknown_price)
             } else {
                 f32::INFINITY
             };
@@ -123,7 +131,7 @@ impl Field {
         (self.first.0 + (index % self.side()) as i64, self.first.1 + (index / self.side()) as i64)
     }
 
-    fn price_of(&mut self, cell: (i64, i64), seen: Occupancy, is_near: bool, unknown_price: f32) -> f32 {
+    fn price_of(&mut self, cell: (i64, i64), seen: Occupancy, from_m: f64, unknown_price: f32) -> f32 {
         let side = REMEMBERED as i64;
         let slot = (cell.1.rem_euclid(side) * side + cell.0.rem_euclid(side)) as usize;
         let occupied = match seen {
@@ -133,16 +141,23 @@ impl Field {
                 return match self.memory[slot].filter(|memory| memory.cell == cell) {
                     Some(Memory { occupied: true, .. }) => ONCE_OCCUPIED,
                     Some(_) => 1.0,
-                    None if is_near && why == Unknown::NoReturn => LOOKED_AT.max(1.0 + unknown_price),
+                    None if from_m < NEAR_M && why == Unknown::NoReturn => LOOKED_AT.max(1.0 + unknown_price),
                     None => 1.0 + unknown_price,
                 };
             }
         };
-        self.memory[slot] = Some(Memory { cell, occupied });
-        if occupied { f32::INFINITY } else { 1.0 }
+        let known = self.memory[slot].filter(|memory| memory.cell == cell);
+        let closed = occupied && (from_m < FAR_M || known.is_some_and(|memory| memory.closed));
+        self.memory[slot] = Some(Memory { cell, occupied, closed });
+        match (occupied, closed) {
+            (_, true) => f32::INFINITY,
+            (true, false) => FAR_OCCUPIED,
+            (false, _) => 1.0,
+        }
     }
 
-    /// Dijkstra's algorithm from the goal and the grid's rim inwards.
+    /// Fast marching (Sethian 1996) from the goal and the grid's rim inwards: distances as they are, not as the grid's
+    /// eight directions make them.
     fn spread(&mut self, goal: Point<World>) {
         self.to_goal_m.fill(f32::INFINITY);
         self.queue.clear();
@@ -160,26 +175,34 @@ impl Field {
             if so_far_m > self.to_goal_m[index] {
                 continue;
             }
-            let (column, row) = ((index % side) as i64, (index / side) as i64);
-            for (right, down) in [(1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (1, -1), (-1, 1), (-1, -1)] {
-                let (column, row) = (column + right, row + down);
-                if column < 0 || row < 0 || column >= side as i64 || row >= side as i64 {
-                    continue;
-                }
-                let next = row as usize * side + column as usize;
-                // No way leads between two closed cells that touch by their corners.
-                let corners = [(column - right, row), (column, row - down)];
-                let is_closed =
-                    |&(column, row): &(i64, i64)| self.price[row as usize * side + column as usize].is_infinite();
-                if right * down != 0 && corners.iter().all(is_closed) {
-                    continue;
-                }
-                // The goal's own cell may be closed; it still counts from there.
-                let here = if self.price[index].is_finite() { self.price[index] } else { 1.0 };
-                let step_m = CELL_M as f32 * if right * down == 0 { 1.0 } else { std::f32::consts::SQRT_2 };
-                self.reach(next, so_far_m + step_m * 0.5 * (here + self.price[next]));
+            let (column, row) = (index % side, index / side);
+            let neighbours = [
+                (column > 0).then(|| index - 1),
+                (column + 1 < side).then(|| index + 1),
+                (row > 0).then(|| index - side),
+                (row + 1 < side).then(|| index + side),
+            ];
+            for next in neighbours.into_iter().flatten() {
+                let across_m = self.across(next);
+                self.reach(next, across_m);
             }
         }
+    }
+
+    /// Distance of a cell by its neighbours: the upwind solution of |grad d| = price.
+    fn across(&self, index: usize) -> f32 {
+        let side = self.side();
+        let (column, row) = (index % side, index / side);
+        let at = |is_inside: bool, other: usize| if is_inside { self.to_goal_m[other] } else { f32::INFINITY };
+        let west_east = at(column > 0, index.wrapping_sub(1)).min(at(column + 1 < side, index + 1));
+        let south_north = at(row > 0, index.wrapping_sub(side)).min(at(row + 1 < side, index + side));
+        let step = CELL_M as f32 * self.price[index];
+        let (near, far) = (west_east.min(south_north), west_east.max(south_north));
+        if far - near >= step {
+            return near + step;
+        }
+        // (d − near)² + (d − far)² = step².
+        0.5 * (near + far + (2.0 * step * step - (far - near) * (far - near)).max(0.0).sqrt())
     }
 
     fn reach(&mut self, index: usize, to_goal_m: f32) {
@@ -203,6 +226,27 @@ impl Field {
             least = least.min(to_goal_m + centre(self.cell(index), point.z).distance(point));
         }
         least
+    }
+
+    /// Level direction in which the way to the goal gets shorter fastest; `None` at its end, beyond the grid and where
+    /// it knows no way.
+    pub(crate) fn downhill(&self, point: Point<World>) -> Option<Vector<World>> {
+        let (x, y) = cell_of(point);
+        let at = |right: i64, up: i64| {
+            let (column, row, side) = (x + right - self.first.0, y + up - self.first.1, self.side() as i64);
+            let is_inside = (0..side).contains(&column) && (0..side).contains(&row);
+            let value = is_inside.then(|| self.to_goal_m[(row * side + column) as usize])?;
+            value.is_finite().then_some(f64::from(value))
+        };
+        let here = at(0, 0)?;
+        // Towards the lower of two open neighbours; away from a closed one.
+        let slope = |before: Option<f64>, after: Option<f64>| match (before, after) {
+            (Some(before), Some(after)) => (before - after) / 2.0,
+            (Some(before), None) => (before - here).min(0.0),
+            (None, Some(after)) => (here - after).max(0.0),
+            (None, None) => 0.0,
+        };
+        Vector::new(slope(at(-1, 0), at(1, 0)), slope(at(0, -1), at(0, 1)), 0.0).direction()
     }
 }
 
@@ -263,19 +307,19 @@ mod tests {
     fn what_was_occupied_stays_dear_and_hostile_points_are_far() {
         let mut field = Field::new(10.0);
         let cell = cell_of(Point::new(2.0, 0.0, 2.0));
-        assert!(field.price_of(cell, Occupancy::Occupied, false, 0.3).is_infinite());
+        assert!(field.price_of(cell, Occupancy::Occupied, 4.0, 0.3).is_infinite());
         let unknown = Occupancy::Unknown(memory::Unknown::OutOfView);
-        assert_eq!(field.price_of(cell, unknown, false, 0.3), ONCE_OCCUPIED);
+        assert_eq!(field.price_of(cell, unknown, 4.0, 0.3), ONCE_OCCUPIED);
         assert_eq!(
-            field.price_of((cell.0 + REMEMBERED as i64, cell.1), unknown, false, 0.3),
+            field.price_of((cell.0 + REMEMBERED as i64, cell.1), unknown, 4.0, 0.3),
             1.3,
             "another cell's slot"
         );
         let unmeasured = Occupancy::Unknown(Unknown::NoReturn);
-        assert_eq!(field.price_of((7, 9), unmeasured, false, 0.3), 1.3);
-        assert_eq!(field.price_of((7, 9), unmeasured, true, 0.3), LOOKED_AT, "something may fill the view");
-        assert_eq!(field.price_of(cell, Occupancy::Free, false, 0.3), 1.0);
-        assert_eq!(field.price_of(cell, unknown, false, 0.3), 1.0);
+        assert_eq!(field.price_of((7, 9), unmeasured, 4.0, 0.3), 1.3);
+        assert_eq!(field.price_of((7, 9), unmeasured, 1.0, 0.3), LOOKED_AT, "something may fill the view");
+        assert_eq!(field.price_of(cell, Occupancy::Free, 4.0, 0.3), 1.0);
+        assert_eq!(field.price_of(cell, unknown, 4.0, 0.3), 1.0);
         field.update(&home_only(200.0), &FENCE, AT, GOAL, ASK);
         for hostile in [f64::NAN, f64::INFINITY, -1e300] {
             assert!(!field.to_goal_m(Point::new(hostile, 0.0, 2.0)).is_finite() || hostile.is_finite());

@@ -66,6 +66,8 @@ pub struct Config {
     pub sample_m: f64,
     /// Acceleration of the candidates, m/s².
     pub acceleration_mps2: f64,
+    /// Acceleration of the candidates across their velocity, m/s².
+    pub lateral_mps2: f64,
     /// Deceleration of the candidates, m/s².
     pub braking_mps2: f64,
     /// Change of acceleration along a timed path, m/s³.
@@ -82,6 +84,8 @@ pub struct Config {
     pub unknown_price: f64,
     /// Price of a metre right beside something occupied, m.
     pub clearance_price: f64,
+    /// Weight of the distance that is lost by turning, at a candidate's end, towards the way that remains.
+    pub turning_price: f64,
     /// Price of a metre off the cruise height, m.
     pub height_price: f64,
     /// How much cheaper a new plan must be than the one being flown, m.
@@ -152,6 +156,7 @@ impl Config {
         bounds.range("image_deadline_s", self.image_deadline_s, 0.05..=3.0);
         bounds.range("sample_m", self.sample_m, 0.02..=1.0);
         bounds.range("acceleration_mps2", self.acceleration_mps2, 0.2..=20.0);
+        bounds.range("lateral_mps2", self.lateral_mps2, 0.2..=20.0);
         bounds.range("braking_mps2", self.braking_mps2, 0.2..=20.0);
         bounds.range("jerk_mps3", self.jerk_mps3, 1.0..=1000.0);
         bounds.range("hard_braking_mps2", self.hard_braking_mps2, self.braking_mps2.max(0.2)..=20.0);
@@ -160,6 +165,7 @@ impl Config {
         bounds.range("yaw_rate_degps", self.yaw_rate_degps, 1.0..=360.0);
         bounds.range("unknown_price", self.unknown_price, 0.0..=100.0);
         bounds.range("clearance_price", self.clearance_price, 0.0..=100.0);
+        bounds.range("turning_price", self.turning_price, 0.0..=10.0);
         bounds.range("height_price", self.height_price, 0.0..=100.0);
         bounds.range("hysteresis_m", self.hysteresis_m, 0.0..=10.0);
         bounds.range("look_price_m", self.look_price_m, 0.0..=100.0);
@@ -180,7 +186,7 @@ impl Config {
             speed_mps,
             acceleration_mps2: self.acceleration_mps2,
             braking_mps2: self.braking_mps2,
-            lateral_mps2: self.acceleration_mps2,
+            lateral_mps2: self.lateral_mps2,
             jerk_mps3: self.jerk_mps3,
         }
     }

@@ -60,9 +60,7 @@ impl Rollout {
                 Target::Along(path, speed) => follow(path, &mut passed, sample.position, speed),
             };
             let change = wanted - sample.velocity;
-            let slows = change.dot(sample.velocity) < 0.0;
-            let limit = if slows { config.braking_mps2 } else { config.acceleration_mps2 };
-            sample = advance(sample, change.clamp_norm(limit * STEP_S));
+            sample = advance(sample, limited(change, sample.velocity, config));
             self.samples.push(sample);
         }
         self.braking = self.samples.len();
@@ -81,6 +79,19 @@ impl Rollout {
     pub(crate) fn end_of_going(&self) -> Sample {
         self.samples[self.braking - 1]
     }
+}
+
+/// What of a change of velocity is possible within a step: along the velocity and across it.
+fn limited(change: Vector<World>, velocity: Vector<World>, config: &Config) -> Vector<World> {
+    let Some(ahead) = velocity.direction().filter(|_| velocity.norm() > config.lateral_mps2 * STEP_S) else {
+        return change.clamp_norm(config.acceleration_mps2 * STEP_S);
+    };
+    let along = change.dot(ahead);
+    let limit = if along < 0.0 { config.braking_mps2 } else { config.acceleration_mps2 };
+    let across = (change - ahead * along).norm();
+    // An ellipse: hard turns leave less for the rest.
+    let asked = (along / limit).hypot(across / config.lateral_mps2) / STEP_S;
+    change * (1.0 / asked.max(1.0))
 }
 
 /// Calls `each` with the samples after `sample` of a straight stop along its velocity; the last is at rest.

@@ -2,6 +2,7 @@
 //!
 //! * [`World`]: seeded random forests on uneven ground, walls, OctoMap files; made of capsules and boxes.
 //! * [`Renderer`]: what the stereo camera sees of it.
+//! * [`NoiseCamera`]: disparity without images, by a model of what camera and matcher get wrong.
 //! * [`Vehicle`]: a quadrotor behind a velocity-command flight control unit that brakes by itself when setpoints stop.
 //! * [`Estimator`]: what the vehicle believes of its own state: late, noisy, drifting.
 //! * [`Collider`]: true clearance and continuous whole-body collision, by parry3d.
@@ -14,6 +15,7 @@ mod collider;
 mod estimator;
 mod ground;
 mod noise3;
+mod noise_camera;
 mod octomap;
 mod process;
 mod raster;
@@ -24,6 +26,7 @@ mod world;
 pub use camera::{CameraConfig, StereoCamera};
 pub use collider::{Clearance, Collider};
 pub use estimator::{Estimator, EstimatorConfig};
+pub use noise_camera::{Class, NoiseCamera, NoiseCameraConfig, Shares};
 pub use octomap::{Octomap, OctomapError};
 pub use process::{SimulatorConfig, SimulatorProcess, SimulatorSetup};
 pub use render::Renderer;

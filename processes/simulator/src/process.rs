@@ -2,12 +2,13 @@
 
 use crate::camera::{CameraConfig, StereoCamera, camera_pose};
 use crate::collider::{Clearance, Collider};
+use crate::noise_camera::{NoiseCamera, NoiseCameraConfig};
 use crate::estimator::{Estimator, EstimatorConfig};
 use crate::vehicle::{Vehicle, VehicleConfig};
 use crate::world::World;
 use ipc_types::bounds::Bounds;
 use ipc_types::rig::CameraMount;
-use ipc_types::topics::{Clock, Setpoints, State, StereoFrames, Truth};
+use ipc_types::topics::{Clock, DepthFrames, Setpoints, State, StereoFrames, Truth};
 use ipc_types::{Body, Camera, FlightTime, HostTime, Point, Pose, ProcessId, StereoRig, Vector, World as WorldFrame};
 use runtime::{Connect, Message, Ports, Process, Report};
 use serde::{Deserialize, Serialize};
@@ -32,6 +33,8 @@ pub struct SimulatorConfig {
     pub vehicle: VehicleConfig,
     /// Optics and sensor.
     pub camera: CameraConfig,
+    /// What the noise-model camera takes the place of camera and matcher with.
+    pub noise_camera: NoiseCameraConfig,
     /// State estimate.
     pub estimator: EstimatorConfig,
 }
@@ -41,6 +44,7 @@ impl SimulatorConfig {
     pub fn check(&self, bounds: &mut Bounds) {
         bounds.section("vehicle", |bounds| self.vehicle.check(bounds));
         bounds.section("camera", |bounds| self.camera.check(bounds));
+        bounds.section("noise_camera", |bounds| self.noise_camera.check(bounds));
         bounds.section("estimator", |bounds| self.estimator.check(bounds));
     }
 }
@@ -62,18 +66,61 @@ pub struct SimulatorSetup {
     pub start_yaw_rad: f64,
     /// Drives all noise.
     pub seed: u64,
+    /// Whether disparity is delivered by a model of the camera's and the matcher's errors, instead of rendered pairs.
+    pub noise_camera: bool,
 }
 
 /// Who renders: this thread, so that everything repeats, or another, so that the dynamics never wait.
 enum Eyes {
-    Inline(Box<StereoCamera>),
+    Inline(Box<Optics>),
     Thread { orders: SyncSender<Order>, frames: Receiver<Frame>, in_work: usize },
 }
 
 struct Order {
     exposure: FlightTime,
     world_from_camera: Pose<WorldFrame, Camera>,
-    pixels: Vec<u8>,
+    image: Image,
+}
+
+/// What a camera delivers.
+enum Image {
+    /// The left image, then the right one.
+    Pair(Vec<u8>),
+    /// Disparity of the left image.
+    Disparity(Vec<u16>),
+}
+
+/// What makes images of the world.
+enum Optics {
+    Rendered(StereoCamera),
+    Modelled(NoiseCamera),
+}
+
+impl Optics {
+    fn new(setup: &SimulatorSetup) -> Self {
+        let (world, config, seed) = (Arc::clone(&setup.world), &setup.config, setup.seed ^ 1);
+        match setup.noise_camera {
+            false => Self::Rendered(StereoCamera::new(world, setup.rig, config.camera, seed)),
+            true => Self::Modelled(NoiseCamera::new(world, setup.rig, config.noise_camera, seed)),
+        }
+    }
+
+    /// An image for the optics of a setup to write to.
+    fn image(setup: &SimulatorSetup) -> Image {
+        match setup.noise_camera {
+            false => Image::Pair(vec![0; 2 * setup.rig.pixels()]),
+            true => Image::Disparity(vec![0; setup.rig.pixels()]),
+        }
+    }
+
+    fn expose(&mut self, world_from_camera: Pose<WorldFrame, Camera>, image: &mut Image) {
+        match (self, image) {
+            (Self::Rendered(camera), Image::Pair(pixels)) => camera.expose(world_from_camera, pixels),
+            (Self::Modelled(camera), Image::Disparity(disparity)) => camera.expose(world_from_camera, disparity),
+            // Images are made by `image` of the same optics.
+            (Self::Rendered(_), Image::Disparity(_)) | (Self::Modelled(_), Image::Pair(_)) => {}
+        }
+    }
 }
 
 type Frame = Order;
@@ -87,7 +134,7 @@ pub struct SimulatorProcess {
     eyes: Eyes,
     /// Frames rendered and not yet due, oldest first.
     ready: Vec<Frame>,
-    spare: Vec<Vec<u8>>,
+    spare: Vec<Image>,
     stepped: FlightTime,
     steps: u64,
     next_exposure: FlightTime,
@@ -133,18 +180,18 @@ impl PacedClock {
 impl SimulatorProcess {
     /// Renders in the calling thread: for lockstep.
     pub fn inline(setup: SimulatorSetup) -> Self {
-        let camera = StereoCamera::new(Arc::clone(&setup.world), setup.rig, setup.config.camera, setup.seed ^ 1);
-        Self::new(setup, Eyes::Inline(Box::new(camera)))
+        let optics = Optics::new(&setup);
+        Self::new(setup, Eyes::Inline(Box::new(optics)))
     }
 
     /// Renders in a thread of its own: for real time.
     pub fn threaded(setup: SimulatorSetup) -> Self {
-        let mut camera = StereoCamera::new(Arc::clone(&setup.world), setup.rig, setup.config.camera, setup.seed ^ 1);
+        let mut optics = Optics::new(&setup);
         let (orders, incoming) = sync_channel::<Order>(FRAMES_IN_WORK);
         let (outgoing, frames) = sync_channel::<Frame>(FRAMES_IN_WORK + 1);
         std::thread::spawn(move || {
             while let Ok(mut order) = incoming.recv() {
-                camera.expose(order.world_from_camera, &mut order.pixels);
+                optics.expose(order.world_from_camera, &mut order.image);
                 if outgoing.send(order).is_err() {
                     return; // The process is ending.
                 }
@@ -237,12 +284,12 @@ impl SimulatorProcess {
         let interval = Duration::from_secs_f64(1.0 / self.setup.config.camera.rate_hz);
         let exposure = self.stepped;
         self.next_exposure = exposure + interval;
-        let pixels = self.spare.pop().unwrap_or_else(|| vec![0; 2 * self.setup.rig.pixels()]);
+        let image = self.spare.pop().unwrap_or_else(|| Optics::image(&self.setup));
         let world_from_camera = camera_pose(self.vehicle.world_from_body(), self.setup.mount.body_from_camera());
-        let mut order = Order { exposure, world_from_camera, pixels };
+        let mut order = Order { exposure, world_from_camera, image };
         match &mut self.eyes {
-            Eyes::Inline(camera) => {
-                camera.expose(world_from_camera, &mut order.pixels);
+            Eyes::Inline(optics) => {
+                optics.expose(world_from_camera, &mut order.image);
                 self.ready.push(order);
             }
             // A renderer that died would be noticed as missing frames: nothing can be rendered without it.
@@ -261,12 +308,20 @@ impl SimulatorProcess {
         while self.ready.first().is_some_and(|frame| frame.exposure + latency <= self.stepped) {
             let frame = self.ready.remove(0);
             let rig = self.setup.rig;
-            ports.publish::<StereoFrames>(frame.exposure, frame.pixels.len(), |header, pixels| {
-                (header.width_px, header.height_px) = (rig.width_px, rig.height_px);
-                pixels.copy_from_slice(&frame.pixels);
-            });
+            match &frame.image {
+                Image::Pair(pair) => ports.publish::<StereoFrames>(frame.exposure, pair.len(), |header, pixels| {
+                    (header.width_px, header.height_px) = (rig.width_px, rig.height_px);
+                    pixels.copy_from_slice(pair);
+                }),
+                Image::Disparity(disparity) => {
+                    ports.publish::<DepthFrames>(frame.exposure, disparity.len(), |header, pixels| {
+                        (header.width_px, header.height_px) = (rig.width_px, rig.height_px);
+                        pixels.copy_from_slice(disparity);
+                    });
+                }
+            }
             self.frames += 1;
-            self.spare.push(frame.pixels);
+            self.spare.push(frame.image);
         }
     }
 }
@@ -278,7 +333,10 @@ impl Process for SimulatorProcess {
         connect.reads::<Setpoints>();
         connect.writes::<Clock>();
         connect.writes::<State>();
-        connect.writes::<StereoFrames>();
+        match self.setup.noise_camera {
+            false => connect.writes::<StereoFrames>(),
+            true => connect.writes::<DepthFrames>(),
+        }
         connect.writes::<Truth>();
     }
 

@@ -10,6 +10,8 @@ use std::sync::Arc;
 
 /// Grey level of the plain sky.
 const SKY: f32 = 225.0;
+/// Range of grey levels of the ground's texture.
+const GROUND_CONTRAST: f32 = 90.0;
 /// Nothing is rendered beyond this, m.
 const FARTHEST_M: f32 = 90.0;
 const NOTHING: u32 = u32::MAX;
@@ -70,6 +72,18 @@ impl Renderer {
 
     /// Grey levels, row-major, as seen from a pose.
     pub fn render(&mut self, world_from_camera: Pose<WorldFrame, Camera>, grey: &mut [f32]) {
+        self.trace(world_from_camera);
+        let eye = Eye::new(world_from_camera);
+        let looks = Looks { texture: &self.texture, obstacles: self.world.obstacles() };
+        let width = self.pinhole.width;
+        let lines = self.depths.chunks_exact(stride(width)).zip(self.identities.chunks_exact(stride(width)));
+        for (row, ((depths, identities), grey)) in lines.zip(grey.chunks_exact_mut(width)).enumerate() {
+            shade(self.pinhole, &eye, row, looks, &depths[..width], &identities[..width], grey);
+        }
+    }
+
+    /// What is seen from a pose, and how far it is, without its looks.
+    pub fn trace(&mut self, world_from_camera: Pose<WorldFrame, Camera>) {
         let eye = Eye::new(world_from_camera);
         self.depths.fill(FARTHEST_M);
         self.identities.fill(NOTHING);
@@ -77,21 +91,33 @@ impl Renderer {
         for (index, obstacle) in world.obstacles().iter().enumerate() {
             self.draw(&eye, obstacle, index as u32);
         }
-        let looks = Looks { texture: &self.texture, obstacles: world.obstacles() };
         let width = self.pinhole.width;
         let lines = self.depths.chunks_exact_mut(stride(width)).zip(self.identities.chunks_exact_mut(stride(width)));
-        for (row, ((depths, identities), grey)) in lines.zip(grey.chunks_exact_mut(width)).enumerate() {
+        for (row, (depths, identities)) in lines.enumerate() {
             draw_ground(self.pinhole, &eye, row, &world.ground, &mut depths[..width], &mut identities[..width]);
-            shade(self.pinhole, &eye, row, looks, &depths[..width], &identities[..width], grey);
         }
     }
 
     /// Depth along the optical axis of every pixel of the last image, m; infinite where there is sky.
     pub fn depths(&self) -> impl Iterator<Item = f32> {
+        self.seen().map(|(depth, identity)| if identity == NOTHING { f32::INFINITY } else { depth })
+    }
+
+    /// Depth and contrast (range of grey levels of the texture) of every pixel; infinite and none where there is sky.
+    pub(crate) fn surfaces(&self) -> impl Iterator<Item = (f32, f32)> {
+        let obstacles = self.world.obstacles();
+        self.seen().map(|(depth, identity)| match identity {
+            NOTHING => (f32::INFINITY, 0.0),
+            GROUND => (depth, GROUND_CONTRAST),
+            of => (depth, obstacles.get(of as usize).map_or(0.0, |obstacle| obstacle.contrast)),
+        })
+    }
+
+    fn seen(&self) -> impl Iterator<Item = (f32, u32)> {
         let width = self.pinhole.width;
         let lines = self.depths.chunks_exact(stride(width)).zip(self.identities.chunks_exact(stride(width)));
-        let seen = lines.flat_map(move |(depths, identities)| depths[..width].iter().zip(&identities[..width]));
-        seen.map(|(&depth, &identity)| if identity == NOTHING { f32::INFINITY } else { depth })
+        let pixels = lines.flat_map(move |(depths, identities)| depths[..width].iter().zip(&identities[..width]));
+        pixels.map(|(&depth, &identity)| (depth, identity))
     }
 
     fn draw(&mut self, eye: &Eye, obstacle: &Obstacle, identity: u32) {
@@ -175,7 +201,7 @@ fn shade(
         let point = [0, 1, 2].map(|axis| eye.origin[axis] + depth * ray[axis]);
         let (brightness, contrast) = match looks.obstacles.get(identity as usize) {
             Some(obstacle) => (obstacle.brightness, obstacle.contrast),
-            None => (105.0, 90.0),
+            None => (105.0, GROUND_CONTRAST),
         };
         // Blank surfaces are lit evenly; textured ones show their texture at the scale of the pixel.
         let detail = if contrast > 0.0 { looks.texture.texture(point, depth / pinhole.focal) } else { 0.0 };

@@ -5,7 +5,7 @@
 
 use ipc_types::StereoRig;
 use ipc_types::bounds::Bounds;
-use ipc_types::disparity::{NO_MATCH, encode, is_valid};
+use ipc_types::disparity::{MASKED, NO_MATCH, TEXTURELESS, encode, is_valid};
 use serde::{Deserialize, Serialize};
 
 /// What the sensor delivers.
@@ -14,6 +14,9 @@ use serde::{Deserialize, Serialize};
 pub enum Source {
     /// Stereo pairs.
     Stereo,
+    /// Disparity of the rig's left image as this pipeline has it, codes and all ([`ipc_types::disparity`]): of the
+    /// simulator's noise-model camera.
+    Matched,
     /// Depth along the optical axis (RealSense, Kinect, time of flight), seen by the rig's left camera. The rig's baseline
     /// sets how finely depth is told apart: f·b/z is kept to 1/64 px.
     Depth {
@@ -37,7 +40,7 @@ impl Source {
     /// Reports values out of range.
     pub fn check(&self, bounds: &mut Bounds) {
         match *self {
-            Self::Stereo => {}
+            Self::Stereo | Self::Matched => {}
             Self::Depth { unit_m, nearest_m, farthest_m } => {
                 bounds.range("unit_m", unit_m, 1e-5..=0.1);
                 bounds.range("nearest_m", nearest_m, 0.01..=10.0);
@@ -56,12 +59,15 @@ impl Source {
 pub struct ValueTable(Box<[u16; VALUES]>);
 
 const VALUES: usize = 1 << 16;
+/// Reasons why there is no disparity.
+const CODES: [u16; 3] = [NO_MATCH, TEXTURELESS, MASKED];
 
 impl ValueTable {
     /// For a sensor that delivers depth or disparity; `None` for one that delivers pairs.
     pub fn new(rig: &StereoRig, source: &Source) -> Option<Self> {
         let disparity_px: Box<dyn Fn(f64) -> Option<f64>> = match *source {
             Source::Stereo => return None,
+            Source::Matched => Box::new(|_| None),
             Source::Depth { unit_m, farthest_m, .. } => Box::new(move |value| {
                 let depth_m = value * unit_m;
                 (depth_m <= farthest_m).then(|| rig.disparity_px(depth_m))
@@ -71,6 +77,12 @@ impl ValueTable {
             }
         };
         let mut table = Box::new([NO_MATCH; VALUES]);
+        if *source == Source::Matched {
+            for (value, entry) in (0..=u16::MAX).zip(table.iter_mut()) {
+                *entry = if is_valid(value) || CODES.contains(&value) { value } else { NO_MATCH };
+            }
+            return Some(Self(table));
+        }
         // Sensors say with the least or the largest value that they measured nothing.
         for (value, entry) in table.iter_mut().enumerate().take(VALUES - 1).skip(1) {
             *entry = disparity_px(value as f64).map_or(NO_MATCH, |disparity_px| encode(disparity_px as f32));
@@ -133,6 +145,14 @@ mod tests {
         assert_eq!(valid, 4);
         let least = Some(f32::from(MINIMUM) / 64.0);
         assert_eq!(found, [None, least, Some(1.0), Some(10.1875), Some(96.0), None, None, None]);
+    }
+
+    #[test]
+    fn what_is_matched_already_stays_as_it_is() {
+        let table = ValueTable::new(&RIG, &Source::Matched).expect("a table");
+        let (values, mut out) = ([0, 1, 2, 3, 15, 16, 640, u16::MAX], [7; 8]);
+        assert_eq!(table.convert(&values, &mut out), 3);
+        assert_eq!(out, [NO_MATCH, TEXTURELESS, MASKED, NO_MATCH, NO_MATCH, 16, 640, u16::MAX]);
     }
 
     #[test]

@@ -1,0 +1,384 @@
+//! A stereo camera and its matcher by a model of what they get wrong: disparity without images, for large campaigns.
+//!
+//! Every pixel belongs to a class by what the true depths around it are: sky, hidden from the other eye, a thin thing, an
+//! edge, a blank surface, the inside of one. A class has shares of outcomes: measured, measured as what stands beside it,
+//! no texture, no match. What decides is partly bound to the place in the world, so that the same trunk is missed in frame
+//! after frame, and partly drawn anew. The shares are those that rendered pairs and the matcher have
+//! (`tests/noise_camera.rs` measures both); they belong to a vehicle.
+
+use crate::camera::generator;
+use crate::render::Renderer;
+use crate::world::World;
+use ipc_types::bounds::Bounds;
+use ipc_types::disparity::{NO_MATCH, TEXTURELESS, encode};
+use ipc_types::{Camera, Point, Pose, StereoRig, World as WorldFrame};
+use rand::RngExt;
+use rand_distr::{Distribution, StandardNormal};
+use rand_pcg::Pcg64Mcg;
+use serde::{Deserialize, Serialize};
+use statrs::distribution::{ContinuousCDF, Normal};
+use std::sync::Arc;
+
+/// What becomes of a class of pixels: shares that add up to one at most; the rest has no match.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Shares {
+    /// Measured where it is.
+    pub measured: f64,
+    /// Measured as what stands beside it.
+    pub beside: f64,
+    /// Without enough texture.
+    pub textureless: f64,
+}
+
+/// The model's parameters.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct NoiseCameraConfig {
+    /// Largest disparity that is matched, px.
+    pub most_px: f32,
+    /// Standard deviation of what is measured, px.
+    pub sigma_px: f64,
+    /// Share of the variance of what decides that is bound to the place in the world; the rest is drawn for every image.
+    pub lasting: f64,
+    /// Side of a patch that is decided about at once, px.
+    pub patch_px: u32,
+    /// Sky with nothing near it in the image.
+    pub sky: Shares,
+    /// Sky beside something.
+    pub skyline: Shares,
+    /// Seen by the left eye alone.
+    pub hidden: Shares,
+    /// Things up to 2 px wide.
+    pub hair: Shares,
+    /// Things up to 5 px wide.
+    pub thin: Shares,
+    /// Within 2 px of a jump in depth.
+    pub edge: Shares,
+    /// Surfaces with hardly any texture.
+    pub blank: Shares,
+    /// All others.
+    pub inside: Shares,
+}
+
+impl NoiseCameraConfig {
+    /// Reports values out of range.
+    pub fn check(&self, bounds: &mut Bounds) {
+        bounds.range("most_px", self.most_px, 1.0..=512.0);
+        bounds.range("sigma_px", self.sigma_px, 0.0..=5.0);
+        bounds.range("lasting", self.lasting, 0.0..=1.0);
+        bounds.range("patch_px", self.patch_px, 1..=64);
+        for (class, shares) in Class::ALL.map(|class| (class.name(), self.shares(class))) {
+            bounds.section(class, |bounds| {
+                let all = [shares.measured, shares.beside, shares.textureless];
+                let is_share = all.iter().all(|share| (0.0..=1.0).contains(share)) && all.iter().sum::<f64>() <= 1.0 + 1e-9;
+                bounds.require(is_share, "", format_args!("is {shares:?}, needs shares that add up to 1 at most"));
+            });
+        }
+    }
+
+    fn shares(&self, class: Class) -> Shares {
+        match class {
+            Class::Sky => self.sky,
+            Class::Skyline => self.skyline,
+            Class::Hidden => self.hidden,
+            Class::Hair => self.hair,
+            Class::Thin => self.thin,
+            Class::Edge => self.edge,
+            Class::Blank => self.blank,
+            Class::Inside => self.inside,
+        }
+    }
+}
+
+/// What surrounds a pixel.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum Class {
+    /// Sky with nothing near it in the image.
+    Sky,
+    /// Sky beside something.
+    Skyline,
+    /// Seen by the left eye alone, or nearer than can be matched.
+    Hidden,
+    /// Things up to 2 px wide.
+    Hair,
+    /// Things up to 5 px wide.
+    Thin,
+    /// Within 2 px of a jump in depth.
+    Edge,
+    /// Surfaces with hardly any texture.
+    Blank,
+    /// All others.
+    Inside,
+}
+
+impl Class {
+    /// Every class, in the order of their numbers.
+    pub const ALL: [Self; 8] =
+        [Self::Sky, Self::Skyline, Self::Hidden, Self::Hair, Self::Thin, Self::Edge, Self::Blank, Self::Inside];
+
+    /// Its name in the configuration.
+    pub const fn name(self) -> &'static str {
+        ["sky", "skyline", "hidden", "hair", "thin", "edge", "blank", "inside"][self as usize]
+    }
+}
+
+/// Neighbours differ by more than this across a jump in depth, px.
+const JUMP_PX: f32 = 1.5;
+/// So far from a jump pixels are edges, px.
+const EDGE_PX: usize = 2;
+/// So far to the sides, above and below, something makes a skyline, px.
+const SKYLINE_PX: usize = 6;
+/// Widths of what is a hair and what is thin, px.
+const HAIR_PX: usize = 2;
+const THIN_PX: usize = 5;
+/// Less contrast than this is blank, grey levels.
+const BLANK: f32 = 10.0;
+/// Side of what fails together in the world, m at 1 m of distance per 100 px of focal length: a few pixels.
+const PLACE_PX: f64 = 10.0;
+/// A wrong match is off by this at least, px.
+const WRONG_PX: f32 = 2.2;
+/// Normal numbers drawn once.
+const TABLE: usize = 1 << 14;
+
+/// Delivers disparity.
+#[derive(Debug)]
+pub struct NoiseCamera {
+    config: NoiseCameraConfig,
+    rig: StereoRig,
+    renderer: Renderer,
+    /// By class: below the first it is measured, below the next beside, below the last textureless.
+    limits: [[f32; 3]; 8],
+    truth: Vec<f32>,
+    contrast: Vec<f32>,
+    classes: Vec<Class>,
+    noise: Vec<f32>,
+    random: Pcg64Mcg,
+}
+
+impl NoiseCamera {
+    /// For a world; `seed` drives the noise.
+    pub fn new(world: Arc<World>, rig: StereoRig, config: NoiseCameraConfig, seed: u64) -> Self {
+        let (width, height) = (rig.width_px as usize, rig.height_px as usize);
+        let centre = (rig.cx_px as f32, rig.cy_px as f32);
+        let mut random = generator(seed, 7);
+        let limits = Class::ALL.map(|class| {
+            let Shares { measured, beside, textureless } = config.shares(class);
+            [measured, measured + beside, measured + beside + textureless].map(normal_quantile)
+        });
+        Self {
+            renderer: Renderer::new(world, width, height, rig.focal_px as f32, centre),
+            limits,
+            truth: vec![0.0; width * height],
+            contrast: vec![0.0; width * height],
+            classes: vec![Class::Sky; width * height],
+            noise: (0..TABLE).map(|_| StandardNormal.sample(&mut random)).collect(),
+            random,
+            config,
+            rig,
+        }
+    }
+
+    /// True disparities at a pose, px, zero in the sky; and the class of every pixel.
+    pub fn look(&mut self, world_from_camera: Pose<WorldFrame, Camera>) -> (&[f32], &[Class]) {
+        self.renderer.trace(world_from_camera);
+        for ((depth_m, contrast), (truth, out)) in
+            self.renderer.surfaces().zip(self.truth.iter_mut().zip(&mut self.contrast))
+        {
+            *truth = if depth_m.is_finite() { self.rig.disparity_px(f64::from(depth_m)) as f32 } else { 0.0 };
+            *out = contrast;
+        }
+        self.classify();
+        (&self.truth, &self.classes)
+    }
+
+    /// Writes the disparity image of a pose ([`ipc_types::disparity`]).
+    pub fn expose(&mut self, world_from_camera: Pose<WorldFrame, Camera>, disparity: &mut [u16]) {
+        self.look(world_from_camera);
+        let (width, patch) = (self.rig.width_px as usize, self.config.patch_px as usize);
+        let fresh = (1.0 - self.config.lasting).sqrt() as f32;
+        let lasting = self.config.lasting.sqrt() as f32;
+        let mut decisions = vec![(0.0_f32, 0.0_f32); width.div_ceil(patch)];
+        for row in 0..self.rig.height_px as usize {
+            if row % patch == 0 {
+                for (index, (decision, shift_px)) in decisions.iter_mut().enumerate() {
+                    let pixel = (row + patch / 2).min(self.rig.height_px as usize - 1) * width
+                        + (index * patch + patch / 2).min(width - 1);
+                    let drawn = self.noise[self.random.random_range(0..TABLE)];
+                    *decision = fresh * drawn + lasting * self.lasting_at(world_from_camera, pixel);
+                    *shift_px = (WRONG_PX + drawn.abs() * WRONG_PX).copysign(self.noise[self.random.random_range(0..TABLE)]);
+                }
+            }
+            let offset = self.random.random_range(0..TABLE);
+            let (mut decision, mut shift_px, mut was_thin) = (0.0, 0.0, false);
+            for column in 0..width {
+                let pixel = row * width + column;
+                let limits = self.limits[self.classes[pixel] as usize];
+                // What is thin is found or missed from side to side.
+                let is_thin = matches!(self.classes[pixel], Class::Hair | Class::Thin);
+                if !(is_thin && was_thin) {
+                    (decision, shift_px) = decisions[column / patch];
+                }
+                was_thin = is_thin;
+                let error = self.noise[(offset + column) % TABLE] * self.config.sigma_px as f32;
+                disparity[pixel] = if decision < limits[0] {
+                    encode(self.truth[pixel] + error)
+                } else if decision < limits[1] {
+                    self.beside(row, column, shift_px).map_or(NO_MATCH, |beside| encode(beside + error))
+                } else if decision < limits[2] {
+                    TEXTURELESS
+                } else {
+                    NO_MATCH
+                };
+            }
+        }
+    }
+
+    /// A normal number that belongs to the place that a pixel sees.
+    fn lasting_at(&self, world_from_camera: Pose<WorldFrame, Camera>, pixel: usize) -> f32 {
+        let truth = self.truth[pixel];
+        if truth <= 0.0 {
+            return 0.0;
+        }
+        let (u, v) = (pixel % self.rig.width_px as usize, pixel / self.rig.width_px as usize);
+        let seen = self.rig.back_project(u as f64, v as f64, f64::from(truth));
+        let place: Point<WorldFrame> = world_from_camera * seen;
+        // As fine as the image is there, in powers of two, so that it hardly changes while the vehicle comes nearer.
+        let size_m = (PLACE_PX * seen.z / self.rig.focal_px).log2().round().exp2();
+        let cell = place.to_array().map(|value| (value / size_m).floor() as i64 as u64);
+        let mut mixed = cell.iter().fold(0x9e37_79b9_7f4a_7c15_u64, |mixed, cell| {
+            (mixed ^ cell).wrapping_mul(0xff51_afd7_ed55_8ccd).rotate_left(31)
+        });
+        mixed ^= mixed >> 29;
+        self.noise[mixed as usize % TABLE]
+    }
+
+    /// Disparity of what stands beside a pixel: the far side of a thin thing, the near side of all others. Where nothing
+    /// stands there it is a wrong match, shifted.
+    fn beside(&self, row: usize, column: usize, shift_px: f32) -> Option<f32> {
+        let width = self.rig.width_px as usize;
+        let line = &self.truth[row * width..(row + 1) * width];
+        let around = &line[column.saturating_sub(SKYLINE_PX)..(column + SKYLINE_PX + 1).min(width)];
+        let found = around.iter().copied().filter(|&truth| truth > 0.0);
+        let beside = match self.classes[row * width + column] {
+            Class::Hair | Class::Thin => found.reduce(f32::min),
+            _ => found.reduce(f32::max),
+        };
+        let truth = line[column];
+        beside.map(|beside| if (beside - truth).abs() < WRONG_PX { truth + shift_px } else { beside })
+    }
+
+    fn classify(&mut self) {
+        let width = self.rig.width_px as usize;
+        for row in 0..self.rig.height_px as usize {
+            let lines = row * width..(row + 1) * width;
+            let (truth, contrast) = (&self.truth[lines.clone()], &self.contrast[lines.clone()]);
+            classify_row(truth, contrast, self.config.most_px, &mut self.classes[lines]);
+        }
+        // Sky below or above something is a skyline, too.
+        for row in 0..self.rig.height_px as usize {
+            for column in 0..width {
+                let pixel = row * width + column;
+                if self.classes[pixel] == Class::Sky {
+                    let near = [row.saturating_sub(SKYLINE_PX / 2), row + SKYLINE_PX / 2];
+                    let is_beside = near.iter().any(|&row| self.truth.get(row * width + column).is_some_and(|&t| t > 0.0));
+                    self.classes[pixel] = if is_beside { Class::Skyline } else { Class::Sky };
+                }
+            }
+        }
+    }
+}
+
+/// Value below which a share of a normal distribution lies.
+fn normal_quantile(share: f64) -> f32 {
+    match share {
+        share if share <= 0.0 => f32::NEG_INFINITY,
+        share if share >= 1.0 - 1e-9 => f32::INFINITY,
+        share => Normal::standard().inverse_cdf(share) as f32,
+    }
+}
+
+/// Classes of a row's pixels.
+fn classify_row(truth: &[f32], contrast: &[f32], most_px: f32, classes: &mut [Class]) {
+    let width = truth.len();
+    for (class, (&truth, &contrast)) in classes.iter_mut().zip(truth.iter().zip(contrast)) {
+        *class = match (truth > 0.0, contrast < BLANK) {
+            (false, _) => Class::Sky,
+            (true, true) => Class::Blank,
+            (true, false) => Class::Inside,
+        };
+    }
+    let mut start = 0;
+    for end in 1..=width {
+        if end < width && (truth[end] - truth[end - 1]).abs() <= JUMP_PX {
+            continue;
+        }
+        let is_near = |outside: Option<&f32>| outside.is_none_or(|&outside| truth[start] > outside + JUMP_PX);
+        let stands_out = start > 0 && end < width && is_near(truth.get(start - 1)) && is_near(truth.get(end));
+        let run = end - start;
+        for column in start..end {
+            let to_edge = (column - start).min(end - 1 - column);
+            let outer = (start > 0 && column - start <= to_edge) || (end < width && end - 1 - column <= to_edge);
+            classes[column] = match classes[column] {
+                Class::Sky if outer && to_edge < SKYLINE_PX => Class::Skyline,
+                Class::Sky => Class::Sky,
+                _ if stands_out && run <= HAIR_PX => Class::Hair,
+                _ if stands_out && run <= THIN_PX => Class::Thin,
+                _ if outer && to_edge < EDGE_PX => Class::Edge,
+                class => class,
+            };
+        }
+        start = end;
+    }
+    // What lies to the right covers it in the other eye's image.
+    let mut covered = f32::INFINITY;
+    for column in (0..width).rev() {
+        let seen = column as f32 - truth[column];
+        if truth[column] > 0.0 {
+            if seen >= covered - 0.25 || seen < 0.0 || truth[column] > most_px {
+                classes[column] = Class::Hidden;
+            }
+            covered = covered.min(seen);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn classes(truth: &[f32]) -> Vec<Class> {
+        let mut classes = vec![Class::Sky; truth.len()];
+        classify_row(truth, &vec![50.0; truth.len()], 64.0, &mut classes);
+        classes
+    }
+
+    #[test]
+    fn a_row_falls_into_classes() {
+        let mut truth = vec![3.0; 80];
+        truth[40..44].fill(12.0);
+        truth[60..].fill(0.0);
+        let found = classes(&truth);
+        assert!(found[..3].iter().all(|&class| class == Class::Hidden), "seen by the left eye alone: {found:?}");
+        assert_eq!((found[20], found[41], found[45], found[50]), (Class::Inside, Class::Thin, Class::Edge, Class::Inside));
+        assert_eq!(found[33], Class::Hidden, "the shadow of the thin thing, 9 px wide, to its left");
+        assert_eq!((found[62], found[75], found[79]), (Class::Skyline, Class::Sky, Class::Sky));
+        assert_eq!(classes(&[100.0; 120])[110], Class::Hidden, "nearer than can be matched");
+    }
+
+    #[test]
+    fn shares_are_met() {
+        let limits = [0.2, 0.5, 0.9].map(normal_quantile);
+        let mut random = generator(3, 7);
+        let mut counts = [0; 3];
+        for _ in 0..20_000 {
+            let drawn: f32 = StandardNormal.sample(&mut random);
+            counts.iter_mut().zip(limits).for_each(|(count, limit)| *count += usize::from(drawn < limit));
+        }
+        for (count, share) in counts.iter().zip([0.2, 0.5, 0.9]) {
+            assert!((*count as f64 / 20_000.0 - share).abs() < 0.015, "{counts:?}");
+        }
+        assert_eq!((normal_quantile(0.0), normal_quantile(1.0)), (f32::NEG_INFINITY, f32::INFINITY));
+    }
+}
