@@ -24,7 +24,7 @@ const TOLERANCE: f64 = 0.2;
 #[derive(Clone, Debug, Default)]
 struct Tally {
     /// By class: pixels, measured, wrong, textureless.
-    classes: [[usize; 4]; 8],
+    classes: [[usize; 4]; Class::ALL.len()],
     squares: f64,
     right: usize,
     /// Rows of thin things, and those without a near enough measurement.

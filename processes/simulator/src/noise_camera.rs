@@ -4,7 +4,8 @@
 //! edge, a blank surface, the inside of one. A class has shares of outcomes: measured, measured as what stands beside it,
 //! no texture, no match. What decides is partly bound to the place in the world, so that the same trunk is missed in frame
 //! after frame, and partly drawn anew. The shares are those that rendered pairs and the matcher have
-//! (`tests/noise_camera.rs` measures both); they belong to a vehicle.
+//! (`tests/noise_camera.rs` measures both); they belong to a vehicle. Wrong matches that stand alone are none of the outcomes:
+//! the matcher's speckle filter leaves none.
 
 use crate::camera::generator;
 use crate::render::Renderer;
@@ -55,8 +56,12 @@ pub struct NoiseCameraConfig {
     pub thin: Shares,
     /// Within 2 px of a jump in depth.
     pub edge: Shares,
+    /// Within 6 px of one.
+    pub rim: Shares,
     /// Surfaces with hardly any texture.
     pub blank: Shares,
+    /// Surfaces of small disparity.
+    pub far: Shares,
     /// All others.
     pub inside: Shares,
 }
@@ -85,11 +90,16 @@ impl NoiseCameraConfig {
             Class::Hair => self.hair,
             Class::Thin => self.thin,
             Class::Edge => self.edge,
+            Class::Rim => self.rim,
             Class::Blank => self.blank,
+            Class::Far => self.far,
             Class::Inside => self.inside,
         }
     }
 }
+
+/// Number of classes.
+const CLASSES: usize = 10;
 
 /// What surrounds a pixel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -107,20 +117,34 @@ pub enum Class {
     Thin,
     /// Within 2 px of a jump in depth.
     Edge,
+    /// Within 6 px of one.
+    Rim,
     /// Surfaces with hardly any texture.
     Blank,
+    /// Surfaces of small disparity.
+    Far,
     /// All others.
     Inside,
 }
 
 impl Class {
     /// Every class, in the order of their numbers.
-    pub const ALL: [Self; 8] =
-        [Self::Sky, Self::Skyline, Self::Hidden, Self::Hair, Self::Thin, Self::Edge, Self::Blank, Self::Inside];
+    pub const ALL: [Self; CLASSES] = [
+        Self::Sky,
+        Self::Skyline,
+        Self::Hidden,
+        Self::Hair,
+        Self::Thin,
+        Self::Edge,
+        Self::Rim,
+        Self::Blank,
+        Self::Far,
+        Self::Inside,
+    ];
 
     /// Its name in the configuration.
     pub const fn name(self) -> &'static str {
-        ["sky", "skyline", "hidden", "hair", "thin", "edge", "blank", "inside"][self as usize]
+        ["sky", "skyline", "hidden", "hair", "thin", "edge", "rim", "blank", "far", "inside"][self as usize]
     }
 }
 
@@ -128,17 +152,25 @@ impl Class {
 const JUMP_PX: f32 = 1.5;
 /// So far from a jump pixels are edges, px.
 const EDGE_PX: usize = 2;
+/// And so far they are its rim, px.
+const RIM_PX: usize = 6;
+/// Disparity up to which surfaces are far, px.
+const FAR_PX: f32 = 10.0;
 /// So far to the sides, above and below, something makes a skyline, px.
 const SKYLINE_PX: usize = 6;
+/// So far to the sides what hides something is looked for, px.
+const HIDDEN_PX: usize = 16;
 /// Widths of what is a hair and what is thin, px.
 const HAIR_PX: usize = 2;
 const THIN_PX: usize = 5;
 /// Less contrast than this is blank, grey levels.
 const BLANK: f32 = 10.0;
-/// Side of what fails together in the world, m at 1 m of distance per 100 px of focal length: a few pixels.
-const PLACE_PX: f64 = 10.0;
-/// A wrong match is off by this at least, px.
-const WRONG_PX: f32 = 2.2;
+/// Side of what fails together in the world, as it is seen, px: details, and whole surfaces.
+const PLACE_PX: [f64; 2] = [10.0, 30.0];
+/// Patches of surfaces are so many times as large as those of details.
+const SURFACE: usize = 8;
+/// Where the sky stands, m.
+const SKY_M: f64 = 60.0;
 /// Normal numbers drawn once.
 const TABLE: usize = 1 << 14;
 
@@ -149,7 +181,7 @@ pub struct NoiseCamera {
     rig: StereoRig,
     renderer: Renderer,
     /// By class: below the first it is measured, below the next beside, below the last textureless.
-    limits: [[f32; 3]; 8],
+    limits: [[f32; 3]; CLASSES],
     truth: Vec<f32>,
     contrast: Vec<f32>,
     classes: Vec<Class>,
@@ -197,35 +229,34 @@ impl NoiseCamera {
     pub fn expose(&mut self, world_from_camera: Pose<WorldFrame, Camera>, disparity: &mut [u16]) {
         self.look(world_from_camera);
         let (width, patch) = (self.rig.width_px as usize, self.config.patch_px as usize);
-        let fresh = (1.0 - self.config.lasting).sqrt() as f32;
-        let lasting = self.config.lasting.sqrt() as f32;
-        let mut decisions = vec![(0.0_f32, 0.0_f32); width.div_ceil(patch)];
+        let mut details = vec![0.0_f32; width.div_ceil(patch)];
+        let mut surfaces = vec![0.0_f32; width.div_ceil(SURFACE * patch)];
         for row in 0..self.rig.height_px as usize {
             if row % patch == 0 {
-                for (index, (decision, shift_px)) in decisions.iter_mut().enumerate() {
-                    let pixel = (row + patch / 2).min(self.rig.height_px as usize - 1) * width
-                        + (index * patch + patch / 2).min(width - 1);
-                    let drawn = self.noise[self.random.random_range(0..TABLE)];
-                    *decision = fresh * drawn + lasting * self.lasting_at(world_from_camera, pixel);
-                    *shift_px = (WRONG_PX + drawn.abs() * WRONG_PX).copysign(self.noise[self.random.random_range(0..TABLE)]);
-                }
+                self.decide(world_from_camera, row, patch, PLACE_PX[0], &mut details);
+            }
+            if row % (SURFACE * patch) == 0 {
+                self.decide(world_from_camera, row, SURFACE * patch, PLACE_PX[1], &mut surfaces);
             }
             let offset = self.random.random_range(0..TABLE);
-            let (mut decision, mut shift_px, mut was_thin) = (0.0, 0.0, false);
+            let (mut decision, mut was_thin) = (0.0, false);
             for column in 0..width {
                 let pixel = row * width + column;
-                let limits = self.limits[self.classes[pixel] as usize];
                 // What is thin is found or missed from side to side.
-                let is_thin = matches!(self.classes[pixel], Class::Hair | Class::Thin);
-                if !(is_thin && was_thin) {
-                    (decision, shift_px) = decisions[column / patch];
+                let class = self.classes[pixel];
+                let is_thin = matches!(class, Class::Hair | Class::Thin);
+                if matches!(class, Class::Far | Class::Inside | Class::Blank) {
+                    decision = surfaces[column / (SURFACE * patch)];
+                } else if !(is_thin && was_thin) {
+                    decision = details[column / patch];
                 }
                 was_thin = is_thin;
+                let limits = self.limits[class as usize];
                 let error = self.noise[(offset + column) % TABLE] * self.config.sigma_px as f32;
                 disparity[pixel] = if decision < limits[0] {
                     encode(self.truth[pixel] + error)
                 } else if decision < limits[1] {
-                    self.beside(row, column, shift_px).map_or(NO_MATCH, |beside| encode(beside + error))
+                    self.beside(row, column).map_or(NO_MATCH, |beside| encode(beside + error))
                 } else if decision < limits[2] {
                     TEXTURELESS
                 } else {
@@ -235,17 +266,35 @@ impl NoiseCamera {
         }
     }
 
-    /// A normal number that belongs to the place that a pixel sees.
-    fn lasting_at(&self, world_from_camera: Pose<WorldFrame, Camera>, pixel: usize) -> f32 {
-        let truth = self.truth[pixel];
-        if truth <= 0.0 {
-            return 0.0;
+    /// Decides about a row of patches.
+    fn decide(
+        &mut self,
+        world_from_camera: Pose<WorldFrame, Camera>,
+        row: usize,
+        patch: usize,
+        place_px: f64,
+        decisions: &mut [f32],
+    ) {
+        let (width, height) = (self.rig.width_px as usize, self.rig.height_px as usize);
+        let fresh = (1.0 - self.config.lasting).sqrt() as f32;
+        let lasting = self.config.lasting.sqrt() as f32;
+        for (index, decision) in decisions.iter_mut().enumerate() {
+            let (row, column) = ((row + patch / 2).min(height - 1), (index * patch + patch / 2).min(width - 1));
+            let drawn = self.noise[self.random.random_range(0..TABLE)];
+            let of_place = self.lasting_at(world_from_camera, row * width + column, place_px);
+            *decision = fresh * drawn + lasting * of_place;
         }
+    }
+
+    /// A normal number that belongs to the place that a pixel sees.
+    fn lasting_at(&self, world_from_camera: Pose<WorldFrame, Camera>, pixel: usize, place_px: f64) -> f32 {
+        // The sky fails as if it stood somewhere far.
+        let truth = self.truth[pixel].max(self.rig.disparity_px(SKY_M) as f32);
         let (u, v) = (pixel % self.rig.width_px as usize, pixel / self.rig.width_px as usize);
         let seen = self.rig.back_project(u as f64, v as f64, f64::from(truth));
         let place: Point<WorldFrame> = world_from_camera * seen;
         // As fine as the image is there, in powers of two, so that it hardly changes while the vehicle comes nearer.
-        let size_m = (PLACE_PX * seen.z / self.rig.focal_px).log2().round().exp2();
+        let size_m = (place_px * seen.z / self.rig.focal_px).log2().round().exp2();
         let cell = place.to_array().map(|value| (value / size_m).floor() as i64 as u64);
         let mut mixed = cell.iter().fold(0x9e37_79b9_7f4a_7c15_u64, |mixed, cell| {
             (mixed ^ cell).wrapping_mul(0xff51_afd7_ed55_8ccd).rotate_left(31)
@@ -254,19 +303,16 @@ impl NoiseCamera {
         self.noise[mixed as usize % TABLE]
     }
 
-    /// Disparity of what stands beside a pixel: the far side of a thin thing, the near side of all others. Where nothing
-    /// stands there it is a wrong match, shifted.
-    fn beside(&self, row: usize, column: usize, shift_px: f32) -> Option<f32> {
+    /// Disparity of what stands beside a pixel: the nearest thing, or what is behind where the pixel itself sees that.
+    fn beside(&self, row: usize, column: usize) -> Option<f32> {
         let width = self.rig.width_px as usize;
         let line = &self.truth[row * width..(row + 1) * width];
-        let around = &line[column.saturating_sub(SKYLINE_PX)..(column + SKYLINE_PX + 1).min(width)];
+        let reach = if self.classes[row * width + column] == Class::Hidden { HIDDEN_PX } else { SKYLINE_PX };
+        let around = &line[column.saturating_sub(reach)..(column + reach + 1).min(width)];
         let found = around.iter().copied().filter(|&truth| truth > 0.0);
-        let beside = match self.classes[row * width + column] {
-            Class::Hair | Class::Thin => found.reduce(f32::min),
-            _ => found.reduce(f32::max),
-        };
-        let truth = line[column];
-        beside.map(|beside| if (beside - truth).abs() < WRONG_PX { truth + shift_px } else { beside })
+        let nearest = found.clone().reduce(f32::max)?;
+        let is_nearest = nearest - line[column] <= JUMP_PX;
+        if is_nearest { found.reduce(f32::min) } else { Some(nearest) }
     }
 
     fn classify(&mut self) {
@@ -326,6 +372,8 @@ fn classify_row(truth: &[f32], contrast: &[f32], most_px: f32, classes: &mut [Cl
                 _ if stands_out && run <= HAIR_PX => Class::Hair,
                 _ if stands_out && run <= THIN_PX => Class::Thin,
                 _ if outer && to_edge < EDGE_PX => Class::Edge,
+                Class::Inside if outer && to_edge < RIM_PX => Class::Rim,
+                Class::Inside if truth[column] <= FAR_PX => Class::Far,
                 class => class,
             };
         }
@@ -361,7 +409,7 @@ mod tests {
         truth[60..].fill(0.0);
         let found = classes(&truth);
         assert!(found[..3].iter().all(|&class| class == Class::Hidden), "seen by the left eye alone: {found:?}");
-        assert_eq!((found[20], found[41], found[45], found[50]), (Class::Inside, Class::Thin, Class::Edge, Class::Inside));
+        assert_eq!((found[20], found[41], found[45], found[48]), (Class::Far, Class::Thin, Class::Edge, Class::Rim));
         assert_eq!(found[33], Class::Hidden, "the shadow of the thin thing, 9 px wide, to its left");
         assert_eq!((found[62], found[75], found[79]), (Class::Skyline, Class::Sky, Class::Sky));
         assert_eq!(classes(&[100.0; 120])[110], Class::Hidden, "nearer than can be matched");
