@@ -8,7 +8,7 @@ pub use crate::vehicle_config::VehicleConfig;
 use ipc_types::bounds::Bounds;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
-use simulator::{WorldConfig, WorldError};
+use simulator::{Trouble, WorldConfig, WorldError};
 use std::fs;
 use std::path::{Path, PathBuf};
 use stereo_ingest::calibration::Rectifier;
@@ -75,6 +75,8 @@ pub struct FlightConfig {
     pub record_images: bool,
     /// Whether the simulator models camera and matcher instead of rendering pairs.
     pub noise_camera: bool,
+    /// What the simulated flight is troubled with.
+    pub trouble: Trouble,
 }
 
 /// The configuration files that ship, compiled in.
@@ -189,7 +191,7 @@ impl FlightConfig {
         let (graph_path, text) = source.read(&file.graph)?;
         let graph = parse(&graph_path, &text)?;
         let config =
-            Self { vehicle, world, graph, mission: file.mission, seed: 0, avoidance: true, record_images: false, noise_camera: false };
+            Self { vehicle, world, graph, mission: file.mission, seed: 0, avoidance: true, record_images: false, noise_camera: false, trouble: Trouble::default() };
         let files = [label, vehicle_path, world_path, graph_path];
         config.check_values(&files)?;
         Ok(config)
@@ -252,6 +254,7 @@ impl FlightConfig {
         bounds.section("world", |bounds| self.world.check(bounds));
         bounds.section("graph", |bounds| self.graph.check(bounds));
         bounds.section("mission", |bounds| self.mission.check(bounds));
+        bounds.section("trouble", |bounds| self.trouble.check(bounds));
         self.check_stopping(&mut bounds);
         self.check_places(&mut bounds);
         self.check_deadlines(&mut bounds);

@@ -8,6 +8,7 @@ use crate::config::FlightConfig;
 use crate::graph::Flight;
 use crate::run_files::VERSION;
 use crate::trials::Trial;
+use crate::troubles::TroubleArguments;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use std::collections::HashSet;
@@ -50,6 +51,8 @@ pub(crate) struct EvaluateArguments {
     /// Model what the stereo camera and its matcher get wrong instead of rendering and matching pairs: faster.
     #[arg(long)]
     noise_camera: bool,
+    #[command(flatten)]
+    trouble: TroubleArguments,
     /// The table (CSV). Flights that it holds already are not flown again.
     #[arg(long, value_name = "FILE", default_value = "campaign.csv")]
     out: PathBuf,
@@ -155,6 +158,7 @@ impl EvaluateArguments {
         let mut config = FlightConfig::load_for_simulator(path, world)?;
         config.avoidance = !self.no_avoidance;
         config.noise_camera = self.noise_camera;
+        config.trouble = self.trouble.trouble();
         config.mission.cruise_speed_mps = speed.unwrap_or(config.mission.cruise_speed_mps);
         config.check()?;
         let name = |path: &Path| path.display().to_string();

@@ -6,6 +6,7 @@ use crate::draw::Pictures;
 use crate::graph::Flight;
 use crate::graph_config::Member;
 use crate::run_files::{CONFIG, RunFiles, VERSION, fresh_name};
+use crate::troubles::TroubleArguments;
 use clap::Args;
 use ipc_types::ProcessId;
 use recorder::RecorderProcess;
@@ -55,6 +56,8 @@ pub(crate) struct FlyArguments {
     /// Model what the stereo camera and its matcher get wrong instead of rendering and matching pairs: faster.
     #[arg(long)]
     pub(crate) noise_camera: bool,
+    #[command(flatten)]
+    pub(crate) trouble: TroubleArguments,
     /// Record images too.
     #[arg(long)]
     pub(crate) record_images: bool,
@@ -87,6 +90,7 @@ impl FlyArguments {
         config.avoidance = !self.no_avoidance;
         config.record_images = self.record_images;
         config.noise_camera = self.noise_camera;
+        config.trouble = self.trouble.trouble();
         config.mission.goal_m = self.goal.unwrap_or(config.mission.goal_m);
         config.mission.cruise_speed_mps = self.speed.unwrap_or(config.mission.cruise_speed_mps);
         config.mission.time_limit_s = self.time_limit.unwrap_or(config.mission.time_limit_s);

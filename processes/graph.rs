@@ -102,6 +102,7 @@ pub fn simulator(config: &FlightConfig) -> Result<SimulatorSetup, WorldError> {
         start_yaw_rad: config.mission.start_heading_deg.to_radians(),
         seed: config.seed,
         noise_camera: config.noise_camera,
+        trouble: config.trouble,
     })
 }
 

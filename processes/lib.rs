@@ -36,6 +36,7 @@ mod replay_report;
 mod run_files;
 mod stereo;
 mod trials;
+mod troubles;
 mod vehicle_config;
 pub mod voxels;
 

@@ -4,6 +4,7 @@
 //! * [`Renderer`]: what the stereo camera sees of it.
 //! * [`NoiseCamera`]: disparity without images, by a model of what camera and matcher get wrong.
 //! * [`Vehicle`]: a quadrotor behind a velocity-command flight control unit that brakes by itself when setpoints stop.
+//! * [`Trouble`]: wind, lost frames, blindness, estimates that jump or lag.
 //! * [`Estimator`]: what the vehicle believes of its own state: late, noisy, drifting.
 //! * [`Collider`]: true clearance and continuous whole-body collision, by parry3d.
 //!
@@ -20,6 +21,7 @@ mod octomap;
 mod process;
 mod raster;
 mod render;
+mod trouble;
 mod vehicle;
 mod world;
 
@@ -30,5 +32,6 @@ pub use noise_camera::{Class, NoiseCamera, NoiseCameraConfig, Shares};
 pub use octomap::{Octomap, OctomapError};
 pub use process::{SimulatorConfig, SimulatorProcess, SimulatorSetup};
 pub use render::Renderer;
+pub use trouble::Trouble;
 pub use vehicle::{Vehicle, VehicleConfig};
 pub use world::{Forest, Obstacle, Shape, Wall, World, WorldConfig, WorldError};

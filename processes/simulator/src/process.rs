@@ -4,6 +4,7 @@ use crate::camera::{CameraConfig, StereoCamera, camera_pose};
 use crate::collider::{Clearance, Collider};
 use crate::noise_camera::{NoiseCamera, NoiseCameraConfig};
 use crate::estimator::{Estimator, EstimatorConfig};
+use crate::trouble::{Trouble, Troubles};
 use crate::vehicle::{Vehicle, VehicleConfig};
 use crate::world::World;
 use ipc_types::bounds::Bounds;
@@ -68,6 +69,8 @@ pub struct SimulatorSetup {
     pub seed: u64,
     /// Whether disparity is delivered by a model of the camera's and the matcher's errors, instead of rendered pairs.
     pub noise_camera: bool,
+    /// What the flight is troubled with.
+    pub trouble: Trouble,
 }
 
 /// Who renders: this thread, so that everything repeats, or another, so that the dynamics never wait.
@@ -131,6 +134,7 @@ pub struct SimulatorProcess {
     vehicle: Vehicle,
     estimator: Estimator,
     collider: Collider,
+    troubles: Troubles,
     eyes: Eyes,
     /// Frames rendered and not yet due, oldest first.
     ready: Vec<Frame>,
@@ -206,7 +210,14 @@ impl SimulatorProcess {
         setup.start.z = ground_m + vehicle.hull_height_m / 2.0;
         Self {
             vehicle: Vehicle::new(vehicle, setup.start, setup.start_yaw_rad),
-            estimator: Estimator::new(setup.config.estimator, setup.seed),
+            estimator: Estimator::new(
+                EstimatorConfig {
+                    delay_ms: setup.config.estimator.delay_ms + setup.trouble.lag_ms,
+                    ..setup.config.estimator
+                },
+                setup.seed,
+            ),
+            troubles: Troubles::new(setup.trouble, setup.seed),
             collider: Collider::new(&setup.world, vehicle.hull_radius_m, vehicle.hull_height_m),
             eyes,
             ready: Vec::new(),
@@ -239,7 +250,8 @@ impl SimulatorProcess {
         let before = self.vehicle.world_from_body();
         let place = self.vehicle.position();
         let ground_m = self.setup.world.ground_height_m(place.x, place.y);
-        self.vehicle.step(now, STEP.as_secs_f64(), ground_m);
+        let wind = self.troubles.wind(STEP.as_secs_f64());
+        self.vehicle.step(now, STEP.as_secs_f64(), ground_m, wind);
         let after = self.vehicle.world_from_body();
         if self.vehicle.airborne() {
             // The ground counts once the vehicle has cleared it.
@@ -253,7 +265,8 @@ impl SimulatorProcess {
 
     fn publish_state(&mut self, ports: &mut impl Ports) {
         let (now, pose) = (self.stepped, self.vehicle.world_from_body());
-        self.estimator.measure(now, pose, self.vehicle.velocity());
+        let believed = Pose { translation: pose.translation + self.setup.trouble.jump(now), ..pose };
+        self.estimator.measure(now, believed, self.vehicle.velocity());
         let ratio = self.clock.ratio(now);
         let host_ns = self.host.as_nanos();
         ports.publish::<Clock>(now, 0, |clock, _| {
@@ -307,6 +320,10 @@ impl SimulatorProcess {
         let latency = Duration::from_secs_f64(self.setup.config.camera.latency_ms * 1e-3);
         while self.ready.first().is_some_and(|frame| frame.exposure + latency <= self.stepped) {
             let frame = self.ready.remove(0);
+            if self.troubles.loses(frame.exposure) {
+                self.spare.push(frame.image);
+                continue;
+            }
             let rig = self.setup.rig;
             match &frame.image {
                 Image::Pair(pair) => ports.publish::<StereoFrames>(frame.exposure, pair.len(), |header, pixels| {

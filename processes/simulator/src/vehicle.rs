@@ -77,8 +77,8 @@ impl Vehicle {
         }
     }
 
-    /// Advances by `step_s` over ground of the given height.
-    pub fn step(&mut self, now: FlightTime, step_s: f64, ground_m: f64) {
+    /// Advances by `step_s` over ground of the given height, through air that moves.
+    pub fn step(&mut self, now: FlightTime, step_s: f64, ground_m: f64, wind: Vector<World>) {
         let config = self.config;
         let (velocity, yaw_rate) = match self.setpoint {
             Some((at, velocity, yaw_rate)) if now.seconds_since(at) <= config.setpoint_timeout_s => {
@@ -96,7 +96,8 @@ impl Vehicle {
         let wanted = wanted.clamp_norm(config.acceleration_mps2.min(tilt_mps2));
         self.acceleration += (wanted - self.acceleration).clamp_norm(config.jerk_mps3 * step_s);
         let before = self.velocity;
-        self.velocity += self.acceleration * step_s;
+        // Drag in still air is held against; what wind adds to it is a disturbance.
+        self.velocity += (self.acceleration + wind * config.drag_hz) * step_s;
         self.position += (before + self.velocity) * (step_s / 2.0);
         self.yaw_rad = wrap_angle_rad(self.yaw_rad + yaw_rate * step_s);
         let resting_m = ground_m + config.hull_height_m / 2.0;
@@ -161,7 +162,7 @@ pub(crate) mod tests {
                 vehicle.command(now, velocity, 0.0);
             }
             let before = vehicle.acceleration;
-            vehicle.step(now, 0.005, 0.0);
+            vehicle.step(now, 0.005, 0.0, Vector::ZERO);
             assert!((vehicle.acceleration - before).norm() <= CONFIG.jerk_mps3 * 0.005 + 1e-9);
             assert!(vehicle.acceleration.norm() <= CONFIG.acceleration_mps2 + 1e-9);
             now_s += 0.005;
