@@ -80,15 +80,25 @@ pub struct FlightConfig {
 }
 
 /// The configuration files that ship, compiled in.
-const SHIPPED: [(&str, &str); 10] = [
+const SHIPPED: [(&str, &str); 20] = [
     ("default.ron", include_str!("../config/default.ron")),
     ("fast.ron", include_str!("../config/fast.ron")),
+    ("forest_100.ron", include_str!("../config/forest_100.ron")),
+    ("behind.ron", include_str!("../config/behind.ron")),
+    ("corridor.ron", include_str!("../config/corridor.ron")),
+    ("corner.ron", include_str!("../config/corner.ron")),
+    ("cul_de_sac.ron", include_str!("../config/cul_de_sac.ron")),
+    ("canopy.ron", include_str!("../config/canopy.ron")),
     ("vehicles/scout.ron", include_str!("../config/vehicles/scout.ron")),
     ("vehicles/swift.ron", include_str!("../config/vehicles/swift.ron")),
     ("worlds/forest.ron", include_str!("../config/worlds/forest.ron")),
     ("worlds/long_forest.ron", include_str!("../config/worlds/long_forest.ron")),
     ("worlds/field.ron", include_str!("../config/worlds/field.ron")),
     ("worlds/wall.ron", include_str!("../config/worlds/wall.ron")),
+    ("worlds/corridor.ron", include_str!("../config/worlds/corridor.ron")),
+    ("worlds/corner.ron", include_str!("../config/worlds/corner.ron")),
+    ("worlds/cul_de_sac.ron", include_str!("../config/worlds/cul_de_sac.ron")),
+    ("worlds/canopy.ron", include_str!("../config/worlds/canopy.ron")),
     ("graphs/droan.ron", include_str!("../config/graphs/droan.ron")),
     ("graphs/droan_640.ron", include_str!("../config/graphs/droan_640.ron")),
 ];

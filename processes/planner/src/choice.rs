@@ -130,13 +130,16 @@ impl Prices<'_> {
             }
             let is_flying = self.flying == Some(candidate.index);
             let threshold = if is_flying { self.config.gamma_high } else { self.config.gamma_low };
-            let looks = candidate.turns && looked < LOOKS;
             let heading_rad = candidate.heading_rad;
             self.roll_out(candidate.index, scratch);
+            let admitted = tally.count(admission.admit(scratch, threshold));
+            // What is known all along, though not from here, needs no look.
+            let is_known = admitted.is_some_and(|found| found.unknown_m == 0.0);
+            let looks = candidate.turns && looked < LOOKS && !is_known;
             let found = if looks && !self.gaze.has_looked(heading_rad, self.situation, self.half_view_rad) {
                 admission.promises(scratch, threshold)
             } else {
-                tally.count(admission.admit(scratch, threshold))
+                admitted
             };
             let Some(found) = found else { continue };
             let price_m = candidate.price_m + self.config.unknown_price * found.unknown_m;
