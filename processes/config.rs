@@ -200,8 +200,17 @@ impl FlightConfig {
         let (world_path, world) = source.world(world, &file.world)?;
         let (graph_path, text) = source.read(&file.graph)?;
         let graph = parse(&graph_path, &text)?;
-        let config =
-            Self { vehicle, world, graph, mission: file.mission, seed: 0, avoidance: true, record_images: false, noise_camera: false, trouble: Trouble::default() };
+        let config = Self {
+            vehicle,
+            world,
+            graph,
+            mission: file.mission,
+            seed: 0,
+            avoidance: true,
+            record_images: false,
+            noise_camera: false,
+            trouble: Trouble::default(),
+        };
         let files = [label, vehicle_path, world_path, graph_path];
         config.check_values(&files)?;
         Ok(config)

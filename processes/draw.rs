@@ -72,7 +72,7 @@ impl Pictures {
             let pose = self.scene.simulator.borrow().world_from_body();
             let plan: Vec<_> = planner.points().iter().map(|point| Point::from_array(point.position_m)).collect();
             let drawn = Drawn { view: planner.view(), pose, plan: &plan, way: planner.way() };
-            let pictures = [("above", self.from_above(&drawn)?), ("view", self.over_camera(&drawn)?)];
+            let pictures = [("above", self.above(&drawn)?), ("view", self.over_camera(&drawn)?)];
             for (name, picture) in pictures {
                 let path = self.folder.join(format!("{name}-{due_s:.2}s.png"));
                 picture.save(&path).map_err(|error| format!("{}: {error}", path.display()))?;
@@ -82,7 +82,7 @@ impl Pictures {
     }
 
     /// North up, the vehicle in the middle.
-    fn from_above(&self, drawn: &Drawn<'_>) -> Result<RgbImage, Box<dyn Error>> {
+    fn above(&self, drawn: &Drawn<'_>) -> Result<RgbImage, Box<dyn Error>> {
         let at = drawn.pose.origin();
         let side = (2.0 * REACH_M / PIXEL_M) as u32;
         let place = |pixel: usize| {
@@ -92,7 +92,8 @@ impl Pictures {
         };
         let mut image = slice(drawn.view, self.threshold, side, place)?;
         let simulator = self.scene.simulator.borrow();
-        let near: Vec<_> = simulator.world().obstacles().iter().filter(|obstacle| is_near(&obstacle.shape, at)).collect();
+        let near: Vec<_> =
+            simulator.world().obstacles().iter().filter(|obstacle| is_near(&obstacle.shape, at)).collect();
         for (index, pixel) in image.pixels_mut().enumerate() {
             if near.iter().any(|obstacle| obstacle.shape.contains(place(index))) {
                 *pixel = TRUTH;

@@ -81,8 +81,11 @@ impl Prices<'_> {
         let turning_m = self.config.look_price_m * (looks * looks) as f64;
         // Also where it comes to rest: what shoots past the goal is no nearer to it.
         let rest = rollout.samples.last().map_or(end, |rest| rest.position);
-        let price_m = self.to_goal_m(end).max(self.to_goal_m(rest)) + self.turning_m(rollout.end_of_going())
-            + self.stuck.price(end) + turning_m - hysteresis_m;
+        let price_m = self.to_goal_m(end).max(self.to_goal_m(rest))
+            + self.turning_m(rollout.end_of_going())
+            + self.stuck.price(end)
+            + turning_m
+            - hysteresis_m;
         Some(Priced { index, price_m, heading_rad, turns })
     }
 

@@ -310,11 +310,7 @@ mod tests {
         assert!(field.price_of(cell, Occupancy::Occupied, 4.0, 0.3).is_infinite());
         let unknown = Occupancy::Unknown(memory::Unknown::OutOfView);
         assert_eq!(field.price_of(cell, unknown, 4.0, 0.3), ONCE_OCCUPIED);
-        assert_eq!(
-            field.price_of((cell.0 + REMEMBERED as i64, cell.1), unknown, 4.0, 0.3),
-            1.3,
-            "another cell's slot"
-        );
+        assert_eq!(field.price_of((cell.0 + REMEMBERED as i64, cell.1), unknown, 4.0, 0.3), 1.3, "another cell's slot");
         let unmeasured = Occupancy::Unknown(Unknown::NoReturn);
         assert_eq!(field.price_of((7, 9), unmeasured, 4.0, 0.3), 1.3);
         assert_eq!(field.price_of((7, 9), unmeasured, 1.0, 0.3), LOOKED_AT, "something may fill the view");

@@ -76,7 +76,8 @@ impl NoiseCameraConfig {
         for (class, shares) in Class::ALL.map(|class| (class.name(), self.shares(class))) {
             bounds.section(class, |bounds| {
                 let all = [shares.measured, shares.beside, shares.textureless];
-                let is_share = all.iter().all(|share| (0.0..=1.0).contains(share)) && all.iter().sum::<f64>() <= 1.0 + 1e-9;
+                let is_share =
+                    all.iter().all(|share| (0.0..=1.0).contains(share)) && all.iter().sum::<f64>() <= 1.0 + 1e-9;
                 bounds.require(is_share, "", format_args!("is {shares:?}, needs shares that add up to 1 at most"));
             });
         }
@@ -328,7 +329,8 @@ impl NoiseCamera {
                 let pixel = row * width + column;
                 if self.classes[pixel] == Class::Sky {
                     let near = [row.saturating_sub(SKYLINE_PX / 2), row + SKYLINE_PX / 2];
-                    let is_beside = near.iter().any(|&row| self.truth.get(row * width + column).is_some_and(|&t| t > 0.0));
+                    let is_beside =
+                        near.iter().any(|&row| self.truth.get(row * width + column).is_some_and(|&t| t > 0.0));
                     self.classes[pixel] = if is_beside { Class::Skyline } else { Class::Sky };
                 }
             }

@@ -2,8 +2,8 @@
 
 use crate::camera::{CameraConfig, StereoCamera, camera_pose};
 use crate::collider::{Clearance, Collider};
-use crate::noise_camera::{NoiseCamera, NoiseCameraConfig};
 use crate::estimator::{Estimator, EstimatorConfig};
+use crate::noise_camera::{NoiseCamera, NoiseCameraConfig};
 use crate::trouble::{Trouble, Troubles};
 use crate::vehicle::{Vehicle, VehicleConfig};
 use crate::world::World;
@@ -75,7 +75,7 @@ pub struct SimulatorSetup {
 
 /// Who renders: this thread, so that everything repeats, or another, so that the dynamics never wait.
 enum Eyes {
-    Inline(Box<Optics>),
+    Inline(Optics),
     Thread { orders: SyncSender<Order>, frames: Receiver<Frame>, in_work: usize },
 }
 
@@ -95,16 +95,16 @@ enum Image {
 
 /// What makes images of the world.
 enum Optics {
-    Rendered(StereoCamera),
-    Modelled(NoiseCamera),
+    Rendered(Box<StereoCamera>),
+    Modelled(Box<NoiseCamera>),
 }
 
 impl Optics {
     fn new(setup: &SimulatorSetup) -> Self {
         let (world, config, seed) = (Arc::clone(&setup.world), &setup.config, setup.seed ^ 1);
         match setup.noise_camera {
-            false => Self::Rendered(StereoCamera::new(world, setup.rig, config.camera, seed)),
-            true => Self::Modelled(NoiseCamera::new(world, setup.rig, config.noise_camera, seed)),
+            false => Self::Rendered(Box::new(StereoCamera::new(world, setup.rig, config.camera, seed))),
+            true => Self::Modelled(Box::new(NoiseCamera::new(world, setup.rig, config.noise_camera, seed))),
         }
     }
 
@@ -185,7 +185,7 @@ impl SimulatorProcess {
     /// Renders in the calling thread: for lockstep.
     pub fn inline(setup: SimulatorSetup) -> Self {
         let optics = Optics::new(&setup);
-        Self::new(setup, Eyes::Inline(Box::new(optics)))
+        Self::new(setup, Eyes::Inline(optics))
     }
 
     /// Renders in a thread of its own: for real time.

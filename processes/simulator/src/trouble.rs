@@ -91,7 +91,13 @@ mod tests {
 
     #[test]
     fn gusts_have_their_size_and_frames_are_lost_as_often_as_said() {
-        let config = Trouble { wind_mps: [6.0, 0.0], gust_mps: 2.0, lost_frames: 0.3, blind_s: [5.0, 2.0], ..Trouble::default() };
+        let config = Trouble {
+            wind_mps: [6.0, 0.0],
+            gust_mps: 2.0,
+            lost_frames: 0.3,
+            blind_s: [5.0, 2.0],
+            ..Trouble::default()
+        };
         let mut troubles = Troubles::new(config, 4);
         let winds: Vec<_> = (0..400_000).map(|_| troubles.wind(0.005)).collect();
         let count = winds.len() as f64;
