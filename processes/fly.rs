@@ -25,10 +25,10 @@ use supervisor::{
 /// Options of a flight.
 #[derive(Clone, Debug, Args)]
 pub(crate) struct FlyArguments {
-    /// Flight: default, fast, or a file (RON); default if not given.
+    /// Flight: default, fast, forest_100, behind, corridor, corner, cul_de_sac, canopy, or a file (RON); default if not given.
     #[arg(long, value_name = "NAME|FILE")]
     pub(crate) config: Option<PathBuf>,
-    /// World: forest, long_forest, field, wall, or a RON file.
+    /// World: forest, long_forest, field, wall, corridor, corner, cul_de_sac, canopy, or a RON file.
     #[arg(long, value_name = "NAME|FILE")]
     pub(crate) world: Option<String>,
     /// Seed of the world and of all noise.

@@ -5,7 +5,7 @@ use ipc_types::bounds::Bounds;
 use ipc_types::limits::Fence;
 use ipc_types::messages::{Health, PlanMode, Trajectory, VehicleState, WorldTruth};
 use ipc_types::topics::{
-    Disparity, Expanded, Goals, HealthReports, Keyframes, Plan, Setpoints, State, StereoFrames, Truth,
+    DepthFrames, Disparity, Expanded, Goals, HealthReports, Keyframes, Plan, Setpoints, State, StereoFrames, Truth,
 };
 use ipc_types::wire::Header;
 use ipc_types::{FlightTime, Point, ProcessId, Vector, World};
@@ -233,6 +233,9 @@ impl Mission {
         while let Some(message) = ports.receive::<StereoFrames>() {
             self.recorder.published("camera", message.header().stamp());
         }
+        while let Some(message) = ports.receive::<DepthFrames>() {
+            self.recorder.published("camera", message.header().stamp());
+        }
         while let Some(message) = ports.receive::<Disparity>() {
             self.recorder.published("stereo-ingest", message.header().stamp());
         }
@@ -253,6 +256,7 @@ impl Process for Mission {
         connect.reads::<Truth>();
         connect.reads::<State>();
         connect.reads::<StereoFrames>();
+        connect.reads::<DepthFrames>();
         connect.reads::<Disparity>();
         connect.reads::<Expanded>();
         connect.reads::<Keyframes>();
