@@ -39,7 +39,7 @@ pub struct NoiseCameraConfig {
     /// Largest disparity that is matched, px.
     pub most_px: f32,
     /// Standard deviation of what is measured, px.
-    pub sigma_px: f64,
+    pub error_px: f64,
     /// Share of the variance of what decides that is bound to the place in the world; the rest is drawn for every image.
     pub lasting: f64,
     /// Side of a patch that is decided about at once, px.
@@ -70,7 +70,7 @@ impl NoiseCameraConfig {
     /// Reports values out of range.
     pub fn check(&self, bounds: &mut Bounds) {
         bounds.range("most_px", self.most_px, 1.0..=512.0);
-        bounds.range("sigma_px", self.sigma_px, 0.0..=5.0);
+        bounds.range("error_px", self.error_px, 0.0..=5.0);
         bounds.range("lasting", self.lasting, 0.0..=1.0);
         bounds.range("patch_px", self.patch_px, 1..=64);
         for (class, shares) in Class::ALL.map(|class| (class.name(), self.shares(class))) {
@@ -253,7 +253,7 @@ impl NoiseCamera {
                 }
                 was_thin = is_thin;
                 let limits = self.limits[class as usize];
-                let error = self.noise[(offset + column) % TABLE] * self.config.sigma_px as f32;
+                let error = self.noise[(offset + column) % TABLE] * self.config.error_px as f32;
                 disparity[pixel] = if decision < limits[0] {
                     encode(self.truth[pixel] + error)
                 } else if decision < limits[1] {
