@@ -32,7 +32,7 @@ pub(crate) struct FlyArguments {
     #[arg(long, value_name = "NAME|FILE")]
     pub(crate) world: Option<String>,
     /// Seed of the world and of all noise.
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, default_value_t = 7)]
     pub(crate) seed: u64,
     /// Goal, in metres of the world: x,y,z.
     #[arg(long, value_name = "X,Y,Z", value_parser = parse_point, allow_hyphen_values = true)]
