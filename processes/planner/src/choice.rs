@@ -89,8 +89,8 @@ impl Prices<'_> {
         Some(Priced { index, price_m, heading_rad, turns })
     }
 
-    /// What it costs to get from a velocity to the one that the rest of the way asks for, as the distance that is lost
-    /// on the way there: a turn at speed v by acceleration a takes as long as v·|Δv|²/(2 a v²).
+    /// What it costs to get from the velocity at a candidate's end to the one that the rest of the way asks for, m: the
+    /// distance |Δv|²/2a that is lost meanwhile, by acceleration a.
     fn turning_m(&self, end: Sample) -> f64 {
         let Some(downhill) = self.field.downhill(end.position).filter(|_| !self.near_goal) else { return 0.0 };
         let left_m = end.position.distance(self.situation.goal);

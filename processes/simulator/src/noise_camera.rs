@@ -186,6 +186,9 @@ pub struct NoiseCamera {
     truth: Vec<f32>,
     contrast: Vec<f32>,
     classes: Vec<Class>,
+    /// What decides about the patches of a row, normal: of details, and of surfaces.
+    details: Vec<f32>,
+    surfaces: Vec<f32>,
     noise: Vec<f32>,
     random: Pcg64Mcg,
 }
@@ -206,6 +209,8 @@ impl NoiseCamera {
             truth: vec![0.0; width * height],
             contrast: vec![0.0; width * height],
             classes: vec![Class::Sky; width * height],
+            details: vec![0.0; width.div_ceil(config.patch_px as usize)],
+            surfaces: vec![0.0; width.div_ceil(SURFACE * config.patch_px as usize)],
             noise: (0..TABLE).map(|_| StandardNormal.sample(&mut random)).collect(),
             random,
             config,
@@ -230,8 +235,7 @@ impl NoiseCamera {
     pub fn expose(&mut self, world_from_camera: Pose<WorldFrame, Camera>, disparity: &mut [u16]) {
         self.look(world_from_camera);
         let (width, patch) = (self.rig.width_px as usize, self.config.patch_px as usize);
-        let mut details = vec![0.0_f32; width.div_ceil(patch)];
-        let mut surfaces = vec![0.0_f32; width.div_ceil(SURFACE * patch)];
+        let (mut details, mut surfaces) = (std::mem::take(&mut self.details), std::mem::take(&mut self.surfaces));
         for row in 0..self.rig.height_px as usize {
             if row % patch == 0 {
                 self.decide(world_from_camera, row, patch, PLACE_PX[0], &mut details);
@@ -265,6 +269,7 @@ impl NoiseCamera {
                 };
             }
         }
+        (self.details, self.surfaces) = (details, surfaces);
     }
 
     /// Decides about a row of patches.
