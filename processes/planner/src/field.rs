@@ -304,6 +304,26 @@ mod tests {
     }
 
     #[test]
+    fn far_walls_are_dear_until_they_were_seen_from_near() {
+        let (mut field, cell) = (Field::new(10.0), (30, 4));
+        let mut price = |seen, from_m| field.price_of(cell, seen, from_m, 0.3);
+        assert_eq!(price(Occupancy::Occupied, FAR_M + 2.0), FAR_OCCUPIED);
+        assert!(price(Occupancy::Occupied, FAR_M - 1.0).is_infinite());
+        assert!(price(Occupancy::Occupied, FAR_M + 2.0).is_infinite(), "seen from near, it stays closed");
+        assert_eq!(price(Occupancy::Free, FAR_M + 2.0), 1.0);
+        assert_eq!(price(Occupancy::Occupied, FAR_M + 2.0), FAR_OCCUPIED, "seen free since");
+    }
+
+    #[test]
+    fn the_way_leads_downhill() {
+        let mut field = Field::new(10.0);
+        field.update(&home_only(200.0), &FENCE, AT, GOAL, ASK);
+        let downhill = field.downhill(Point::new(1.0, 0.5, 2.0)).expect("a way");
+        assert!(downhill.x > 0.98 && (downhill.norm() - 1.0).abs() < 1e-9, "{downhill:?}");
+        assert_eq!(field.downhill(Point::new(50.0, 0.0, 2.0)), None, "beyond the grid");
+    }
+
+    #[test]
     fn what_was_occupied_stays_dear_and_hostile_points_are_far() {
         let mut field = Field::new(10.0);
         let cell = cell_of(Point::new(2.0, 0.0, 2.0));
