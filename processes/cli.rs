@@ -100,7 +100,7 @@ fn check(arguments: &CheckArguments) -> Result<ExitCode, Box<dyn Error>> {
         vehicle.planner.stopping_distance_m(config.mission.cruise_speed_mps),
         config.mission.cruise_speed_mps
     );
-    println!("candidates             {}", vehicle.planner.candidates());
+    println!("manoeuvres             {}", vehicle.planner.library.size);
     Ok(ExitCode::SUCCESS)
 }
 

@@ -71,7 +71,8 @@ pub fn planner(config: &FlightConfig) -> PlannerProcess {
         radius_m: (TAKE_OFF_SHARE * mission.home.radius_m).min(TAKE_OFF_M),
         height_m: mission.cruise_height_m,
     };
-    let planner = PlannerProcess::new(map_model(vehicle), rule, vehicle.planner.clone(), mission.fence, take_off);
+    let (model, planner, cruise_mps) = (map_model(vehicle), vehicle.planner.clone(), mission.cruise_speed_mps);
+    let planner = PlannerProcess::new(model, rule, planner, mission.fence, take_off, cruise_mps);
     if config.avoidance { planner } else { planner.without_avoidance() }
 }
 

@@ -39,7 +39,8 @@ fn planning_allocates_nothing() {
         assert!(view.push(body * vehicle.mount.body_from_camera(), exposure, cells.clone().into()));
     }
     let take_off = TakeOff { from: Point::ZERO, radius_m: 1.0, height_m: 2.0 };
-    let mut planner = Planner::new(vehicle.planner.clone(), config.mission.fence, take_off);
+    let cruise_mps = config.mission.cruise_speed_mps;
+    let mut planner = Planner::new(vehicle.planner.clone(), config.mission.fence, take_off, cruise_mps);
     let mut step = |tick: i64| {
         let now = FlightTime::from_nanos(80_000_000 * tick);
         let position = Point::new(6.0 + 0.2 * tick as f64, 0.0, 2.0);

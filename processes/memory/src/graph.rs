@@ -1,8 +1,11 @@
 //! The pose graph of expanded images (DROAN, Algorithm 2).
 //!
 //! The newest frame is always a node. It becomes a keyframe when the vehicle has moved `spacing_m` or turned
-//! `spacing_deg` since the last one; beyond `keyframes`, the oldest is forgotten. Two rules are added:
+//! `spacing_deg` since the last one. Three rules are added:
 //!
+//! * Beyond `keyframes`, the farthest is forgotten, or where all are near, the one that sees most nearly what another one
+//!   sees (Algorithm 2: the oldest). A vehicle that turns about at a place fills the graph with views from there; what lies
+//!   around it, too near to be seen from there, it has seen on its way.
 //! * A keyframe whose anchor (the pose that made it one) lies within half of the spacing and a tenth of the angle, so that
 //!   both see nearly the same, takes the newer frame in place of its own, once a recent frame that sees the same is older
 //!   than that by the time to forget. So it is improved until the next one is taken, by a vehicle that stays or comes back,
@@ -44,6 +47,9 @@ impl GraphRule {
         bounds.range("spacing_deg", self.spacing_deg, 1.0..=180.0);
     }
 }
+
+/// Keyframes farther away than so many spacings are forgotten first.
+const NEARBY_SPACINGS: f64 = 12.0;
 
 /// One expanded image and where it was taken.
 #[derive(Clone, Copy, Debug)]
@@ -153,6 +159,27 @@ impl DisparityGraph {
         self.recent.clear();
     }
 
+    /// The keyframe to do without, never the newest one.
+    fn least_useful(&self) -> usize {
+        let oldest = self.keyframes.len() - 1;
+        let here = &self.keyframes[0].anchor;
+        let away_m = |index: &usize| self.keyframes[*index].anchor.apart(here).0;
+        // Of equals the older one.
+        let farthest = (1..=oldest).max_by(|a, b| away_m(a).total_cmp(&away_m(b))).unwrap_or(oldest);
+        if away_m(&farthest) > NEARBY_SPACINGS * self.rule.spacing_m {
+            return farthest;
+        }
+        // How nearly a newer one sees the same, in spacings; half as much where it only looks elsewhere: views overlap.
+        let alike = |index: &usize| {
+            let newer = self.keyframes[..*index].iter().map(|newer| {
+                let (distance_m, angle_deg) = self.keyframes[*index].anchor.apart(&newer.anchor);
+                (distance_m / self.rule.spacing_m).hypot(0.5 * angle_deg / self.rule.spacing_deg)
+            });
+            newer.fold(f64::INFINITY, f64::min)
+        };
+        (1..=oldest).rev().min_by(|a, b| alike(a).total_cmp(&alike(b))).unwrap_or(oldest)
+    }
+
     /// Adds a frame; calls `forget` with the id of every image that is no longer a node. Frames that are not newer than
     /// the newest are refused, and forgotten at once. Returns whether it was taken.
     pub fn insert(&mut self, frame: Node, mut forget: impl FnMut(u64)) -> bool {
@@ -189,7 +216,9 @@ impl DisparityGraph {
             None if is_far && !is_near => {
                 self.keyframes.insert(0, Place { anchor: frame, frame });
                 // One node is the newest frame, which moves on while the keyframes stay.
-                self.keyframes.truncate(self.rule.keyframes - 1);
+                if self.keyframes.len() > self.rule.keyframes - 1 {
+                    self.keyframes.remove(self.least_useful());
+                }
             }
             None => {}
         }
@@ -249,6 +278,24 @@ mod tests {
         let mut all: Vec<u64> = forgotten.iter().chain(&nodes).copied().collect();
         all.sort_unstable();
         assert_eq!(all, (0..=34).collect::<Vec<_>>(), "every image is a node or was forgotten, once");
+    }
+
+    #[test]
+    fn turning_about_at_a_place_does_not_displace_what_was_seen_on_the_way() {
+        let way = (0..6_u64).map(|i| frame(i + 1, i as f64, 0.0));
+        let turns = (0..40_u64).map(|i| frame(i + 7, 5.0 + 0.1 * (i % 3) as f64, 35.0 * i as f64));
+        let rule = GraphRule { keyframes: 12, ..RULE };
+        let mut graph = DisparityGraph::new(rule, 1e-9);
+        for frame in way.chain(turns) {
+            graph.insert(frame, |_| {});
+        }
+        let seen_from = |x_m: f64| graph.nodes().any(|node| (node.world_from_camera.origin().x - x_m).abs() < 0.01);
+        assert!(seen_from(4.0) && seen_from(3.0) && seen_from(2.0), "{:?}", graph.keyframes);
+        // Flown on, the farthest goes first.
+        for i in 0..40_u64 {
+            graph.insert(frame(100 + i, 5.0 + i as f64, 0.0), |_| {});
+        }
+        assert!(graph.nodes().all(|node| node.world_from_camera.origin().x > 30.0), "{:?}", graph.keyframes);
     }
 
     #[test]

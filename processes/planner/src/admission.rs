@@ -52,13 +52,6 @@ impl Escape {
     }
 }
 
-/// What was found along an admissible candidate.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Admitted {
-    /// Length of the going part that nobody vouches for, m.
-    pub(crate) unknown_m: f64,
-}
-
 /// What became of the candidates. Those that could not win, or are out of the camera's view, are not asked about.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Tally {
@@ -75,14 +68,15 @@ pub struct Tally {
 }
 
 impl Tally {
-    pub(crate) fn count(&mut self, found: Result<Admitted, Refusal>) -> Option<Admitted> {
+    /// Counts a candidate; whether it is admissible.
+    pub(crate) fn count(&mut self, found: Result<(), Refusal>) -> bool {
         *match found {
             Ok(_) => &mut self.admissible,
             Err(Refusal::Occupied) => &mut self.occupied,
             Err(Refusal::Unknown) => &mut self.unknown,
             Err(Refusal::Outside) => &mut self.outside,
         } += 1;
-        found.ok()
+        found.is_ok()
     }
 }
 
@@ -98,35 +92,42 @@ pub(crate) enum Refusal {
 }
 
 impl Admission<'_> {
-    /// Whether a candidate may be flown, with `threshold` (γ) for occupied. Leaves at the first reason why not.
-    pub(crate) fn admit(&self, rollout: &Rollout, threshold: f32) -> Result<Admitted, Refusal> {
+    /// Whether a candidate may be flown, with `threshold` (γ) for occupied. Leaves at the first reason why not. What lies
+    /// beyond the part that it commits to is asked about when it is flown.
+    pub(crate) fn admit(&self, rollout: &Rollout, threshold: f32) -> Result<(), Refusal> {
         let escape = self.escape(rollout, threshold)?;
         let committed = (self.config.commit_s / STEP_S).ceil() as usize;
-        let committed = committed.min(rollout.samples.len() - 1);
+        let committed = &rollout.samples[..=committed.min(rollout.samples.len() - 1)];
         // At every step until the next plan, not only at the last: braking leaves a curve along its tangent.
-        for &sample in rollout.samples[..=committed].iter().rev() {
+        for &sample in committed.iter().rev() {
             self.stops_in_free_space(sample, threshold, escape)?;
         }
-        self.walk(rollout, committed, threshold, escape)
+        self.walk(committed, committed.len(), threshold, escape)
     }
 
-    /// Whether nothing known stands in a candidate's way, were all of it seen that can be seen from here: good enough to
-    /// look there, not to fly. What is too near for the camera to see the whole body there must be known already.
-    pub(crate) fn promises(&self, rollout: &Rollout, threshold: f32) -> Option<Admitted> {
-        let escape = self.escape(rollout, threshold).ok()?;
+    /// Whether a candidate is known free for so long, or to its end.
+    pub(crate) fn knows(&self, rollout: &Rollout, threshold: f32, seconds: f64) -> bool {
+        let Ok(escape) = self.escape(rollout, threshold) else { return false };
+        let known = first(rollout, seconds);
+        self.walk(known, known.len(), threshold, escape).is_ok()
+    }
+
+    /// Whether nothing known stands in a candidate's way for so long, were all of it seen that can be seen from here: good
+    /// enough to look there, not to fly. What is too near for the camera to see the whole body there must be known already.
+    pub(crate) fn promises(&self, rollout: &Rollout, threshold: f32, seconds: f64) -> bool {
+        let Ok(escape) = self.escape(rollout, threshold) else { return false };
         let from = rollout.samples[0].position;
-        let near =
-            rollout.samples.iter().take_while(|sample| sample.position.distance(from) < self.config.blind_m).count();
-        self.walk(rollout, near, threshold, escape).ok()
+        let near = |sample: &&Sample| sample.position.distance(from) < self.config.blind_m;
+        let near = rollout.samples.iter().take_while(near).count();
+        self.walk(first(rollout, seconds), near, threshold, escape).is_ok()
     }
 
-    /// Asks along a candidate, of which the first `known` steps must be known free.
-    fn walk(&self, rollout: &Rollout, known: usize, threshold: f32, escape: Escape) -> Result<Admitted, Refusal> {
-        let mut unknown_m = 0.0;
-        for (index, pair) in rollout.samples.windows(2).enumerate() {
-            unknown_m += self.leg(pair[0].position, pair[1].position, threshold, index < known, escape)?;
+    /// Asks along samples, of which the first `known` steps must be known free.
+    fn walk(&self, samples: &[Sample], known: usize, threshold: f32, escape: Escape) -> Result<(), Refusal> {
+        for (index, pair) in samples.windows(2).enumerate() {
+            self.leg(pair[0].position, pair[1].position, threshold, index < known, escape)?;
         }
-        Ok(Admitted { unknown_m })
+        Ok(())
     }
 
     /// The occupied stretch at the start, if it is short enough to leave.
@@ -152,14 +153,14 @@ impl Admission<'_> {
         let (mut at, mut found) = (from.position, Ok(()));
         brake(from, self.config.braking_mps2, |sample| {
             if found.is_ok() {
-                found = self.leg(at, sample.position, threshold, true, escape).map(drop);
+                found = self.leg(at, sample.position, threshold, true, escape);
             }
             at = sample.position;
         });
         found
     }
 
-    /// Length of unknown space along a leg (its start not included), unless it may not be flown.
+    /// Whether a leg (its start not included) may be flown.
     fn leg(
         &self,
         from: Point<World>,
@@ -167,10 +168,8 @@ impl Admission<'_> {
         threshold: f32,
         must_be_known: bool,
         escape: Escape,
-    ) -> Result<f64, Refusal> {
-        let length = from.distance(to);
-        let samples = (length / self.config.sample_m).ceil().max(1.0) as usize;
-        let mut unknown = 0;
+    ) -> Result<(), Refusal> {
+        let samples = (from.distance(to) / self.config.sample_m).ceil().max(1.0) as usize;
         for sample in 1..=samples {
             let point = from.lerp(to, sample as f64 / samples as f64);
             if !self.fence.contains(point) && !self.is_way_back_in(from, to) {
@@ -181,10 +180,10 @@ impl Admission<'_> {
                 Occupancy::Occupied if escape.covers(point) => {}
                 Occupancy::Occupied => return Err(Refusal::Occupied),
                 Occupancy::Unknown(_) if must_be_known => return Err(Refusal::Unknown),
-                Occupancy::Unknown(_) => unknown += 1,
+                Occupancy::Unknown(_) => {}
             }
         }
-        Ok(length * f64::from(unknown) / samples as f64)
+        Ok(())
     }
 
     /// Outside the fence only what leads back in is allowed.
@@ -194,6 +193,11 @@ impl Admission<'_> {
     }
 }
 
+/// The first samples of a roll-out, for so long.
+fn first(rollout: &Rollout, seconds: f64) -> &[Sample] {
+    &rollout.samples[..rollout.samples.len().min((seconds / STEP_S) as usize + 1)]
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -201,12 +205,12 @@ mod tests {
     use crate::rollout::Target;
     use ipc_types::Vector;
 
-    fn admit(x_m: f64, velocity: Vector<World>, to: Vector<World>) -> Result<Admitted, Refusal> {
+    fn admit(x_m: f64, velocity: Vector<World>, to: Vector<World>) -> Result<(), Refusal> {
         let (config, view) = (config(), before_a_wall());
         let admission = Admission::new(&view, &FENCE, &config);
         let mut rollout = Rollout::new();
         let from = Sample { position: Point::new(x_m, 0.0, 2.0), velocity };
-        rollout.fill(from, Target::Velocity(to), 1.0, &config);
+        rollout.fill(from, Target::Turn { first: to, then: to, switch_s: 1.0 }, 1.0, &config);
         admission.admit(&rollout, config.gamma_low)
     }
 
@@ -230,9 +234,10 @@ mod tests {
             let view = home_only(home_radius_m);
             let admission = Admission::new(&view, &FENCE, &config);
             let from = Sample { position: Point::new(x_m, 0.0, 2.0), velocity: Vector::new(2.0, 0.0, 0.0) };
-            rollout.fill(from, Target::Velocity(Vector::new(4.0, 0.0, 0.0)), 1.0, &config);
+            let ahead = Vector::new(4.0, 0.0, 0.0);
+            rollout.fill(from, Target::Turn { first: ahead, then: ahead, switch_s: 1.0 }, 1.0, &config);
             assert_eq!(admission.admit(&rollout, config.gamma_low), Err(Refusal::Unknown));
-            assert_eq!(admission.promises(&rollout, config.gamma_low).is_some(), promises, "from {x_m} m");
+            assert_eq!(admission.promises(&rollout, config.gamma_low, 1.0), promises, "from {x_m} m");
         }
     }
 
@@ -246,8 +251,8 @@ mod tests {
     #[test]
     fn the_tally_knows_why() {
         let mut tally = Tally::default();
-        for found in [Ok(Admitted { unknown_m: 0.0 }), Err(Refusal::Unknown), Err(Refusal::Outside)] {
-            assert_eq!(tally.count(found).is_some(), found.is_ok());
+        for found in [Ok(()), Err(Refusal::Unknown), Err(Refusal::Outside)] {
+            assert_eq!(tally.count(found), found.is_ok());
         }
         assert_eq!((tally.admissible, tally.occupied, tally.unknown, tally.outside), (1, 0, 1, 1));
     }

@@ -9,10 +9,11 @@ use crate::field::Field;
 use crate::gaze::{Gaze, LOOKS, is_seen};
 use crate::guide::Guide;
 use crate::library::{Aim, Index, Library};
-use crate::rollout::{Rollout, Sample};
+use crate::rollout::{Rollout, STEP_S, Sample, Target};
 use crate::situation::Situation;
 use crate::stuck::Stuck;
-use ipc_types::{Point, World};
+use ipc_types::{FlightTime, Point, Vector, World};
+use std::time::Duration;
 
 /// Slower than this the vehicle looks before it sets out to where it does not look, m/s.
 const LOOK_FIRST_MPS: f64 = 0.9;
@@ -20,6 +21,22 @@ const LOOK_FIRST_MPS: f64 = 0.9;
 const NO_WAY_M: f64 = 20.0;
 /// Shortest move worth making, m: less is standing still.
 const WORTHWHILE_M: f64 = 0.3;
+/// A candidate sets out to where it leads after so long, s.
+const SETS_OUT_S: f64 = 1.0;
+/// Weight of what remains to the goal by then, relative to what remains at a candidate's end: it will be chosen anew long
+/// before that, and what puts off its speed would put it off for ever.
+const SOON: f64 = 0.5;
+/// What is to be known, or promised, of where the camera does not look, s.
+const FORESEEN_S: f64 = 1.5;
+
+/// What is flown, named so that it stays the same in the world while the vehicle moves along it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Flown {
+    /// A candidate that aims at the goal or follows a way.
+    Aimed(Index),
+    /// A manoeuvre: its velocities, and when the second begins.
+    Turn { first: Vector<World>, then: Vector<World>, until: FlightTime },
+}
 
 /// What the cheapest candidate asks for.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -27,14 +44,15 @@ pub(crate) enum Course {
     /// There is none.
     None,
     /// Fly it.
-    Go(Index),
+    Go(Flown),
     /// Look along its heading, rad, before it may be flown.
     Look(f64),
 }
 
-/// A candidate and what it costs at least, m: what is unknown of it comes on top.
+/// A candidate and what it costs, m.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Priced {
+    /// Beyond the library: what is being flown.
     index: Index,
     price_m: f64,
     heading_rad: f64,
@@ -48,43 +66,74 @@ pub(crate) struct Prices<'a> {
     pub(crate) library: &'a Library,
     pub(crate) aim: Aim<'a>,
     pub(crate) situation: &'a Situation,
-    pub(crate) from: Sample,
+    /// When the candidates begin.
+    pub(crate) start: FlightTime,
     pub(crate) field: &'a Field,
     pub(crate) guide: &'a Guide,
     pub(crate) stuck: &'a Stuck,
     pub(crate) gaze: &'a Gaze,
-    pub(crate) flying: Option<Index>,
-    /// Height to keep, m.
-    pub(crate) height_m: f64,
+    pub(crate) flying: Option<Flown>,
     pub(crate) near_goal: bool,
     pub(crate) half_view_rad: f64,
 }
 
 impl Prices<'_> {
+    fn target(&self, index: Index) -> Target<'_> {
+        match self.flying {
+            Some(Flown::Turn { first, then, until }) if index == self.library.size() => {
+                Target::Turn { first, then, switch_s: until.seconds_since(self.start) }
+            }
+            _ => self.library.target(index, &self.aim),
+        }
+    }
+
+    /// What a candidate is called once it is flown.
+    fn flown(&self, index: Index) -> Flown {
+        match (self.target(index), self.flying) {
+            (_, Some(flying)) if self.is_flying(index) => flying,
+            (Target::Turn { first, then, switch_s }, _) => {
+                Flown::Turn { first, then, until: self.start + Duration::from_secs_f64(switch_s) }
+            }
+            _ => Flown::Aimed(index),
+        }
+    }
+
+    fn is_flying(&self, index: Index) -> bool {
+        match self.flying {
+            Some(Flown::Turn { .. }) => index == self.library.size(),
+            Some(Flown::Aimed(flying)) => index == flying,
+            None => false,
+        }
+    }
+
     fn roll_out(&self, index: Index, rollout: &mut Rollout) {
-        rollout.fill(self.from, self.library.target(index, &self.aim), self.config.horizon_s, self.config);
+        rollout.fill(self.aim.from, self.target(index), self.config.horizon_s, self.config);
     }
 
     /// Prices a candidate, rolled out; `None` where it hardly moves.
     fn price(&self, index: Index, rollout: &Rollout) -> Option<Priced> {
-        let end = rollout.end_of_going().position;
-        let way = end - self.from.position;
-        if way.norm() < WORTHWHILE_M && !self.near_goal {
+        let (going, end) = (&rollout.samples[..rollout.braking], rollout.end_of_going());
+        let from = self.aim.from.position;
+        if end.position.distance(from) < WORTHWHILE_M && !self.near_goal {
             return None;
         }
-        let hysteresis_m = if self.flying == Some(index) { self.config.hysteresis_m } else { 0.0 };
-        let heading_rad = way.y.atan2(way.x);
+        let hysteresis_m = if self.is_flying(index) { self.config.hysteresis_m } else { 0.0 };
+        let sets_out_at = going[going.len().min((SETS_OUT_S / STEP_S) as usize + 1) - 1].position;
+        let sets_out = sets_out_at - from;
+        let heading_rad = sets_out.y.atan2(sets_out.x);
         let slow = self.situation.velocity.norm() < LOOK_FIRST_MPS && !self.near_goal;
         let turns = slow && !is_seen(heading_rad, self.situation.yaw_rad, self.half_view_rad);
         // Every look from here makes turning away dearer, by the square of their number: it must be done with looking.
         let looks = if turns { 1 + self.gaze.looks(self.situation) } else { 0 };
-        let turning_m = self.config.look_price_m * (looks * looks) as f64;
+        let look_m = self.config.look_price_m * (looks * looks) as f64;
         // Also where it comes to rest: what shoots past the goal is no nearer to it.
-        let rest = rollout.samples.last().map_or(end, |rest| rest.position);
-        let price_m = self.to_goal_m(end).max(self.to_goal_m(rest))
-            + self.turning_m(rollout.end_of_going())
-            + self.stuck.price(end)
-            + turning_m
+        let rest = rollout.samples.last().map_or(end.position, |rest| rest.position);
+        let price_m = self.to_goal_m(end.position).max(self.to_goal_m(rest))
+            + SOON * self.to_goal_m(sets_out_at)
+            + self.field.beyond_length_m(going)
+            + self.turning_m(end)
+            + self.stuck.price(end.position)
+            + look_m
             - hysteresis_m;
         Some(Priced { index, price_m, heading_rad, turns })
     }
@@ -103,14 +152,14 @@ impl Prices<'_> {
     /// What remains to the goal, m: around what is known at this height and remembered there. A way that is much longer
     /// is as good as none, and then the path tells, which may lead over things.
     fn to_goal_m(&self, end: Point<World>) -> f64 {
-        let off_m = if self.near_goal { 0.0 } else { (end.z - self.height_m).abs() };
+        let off_m = if self.near_goal { 0.0 } else { (end.z - self.aim.height_m).abs() };
         let level_m = self.field.to_goal_m(end) + self.config.height_price * off_m;
         let path_m = self.guide.to_goal_m(end);
         // Where there is no path either, far is better than nothing.
         level_m.min(NO_WAY_M + if path_m.is_finite() { path_m } else { end.distance(self.situation.goal) })
     }
 
-    /// Asks about candidates, cheapest first, and leaves the cheapest admissible one in `best`.
+    /// Prices all candidates, asks about them, cheapest first, and leaves the first admissible one in `best`.
     pub(crate) fn choose(
         &self,
         admission: &Admission<'_>,
@@ -119,39 +168,31 @@ impl Prices<'_> {
         tally: &mut Tally,
     ) -> Course {
         priced.clear();
-        for index in 0..self.library.size() {
+        let candidates = self.library.size() + usize::from(matches!(self.flying, Some(Flown::Turn { .. })));
+        for index in 0..candidates {
             self.roll_out(index, scratch);
             priced.extend(self.price(index, scratch));
         }
-        tally.candidates = self.library.size() as u32;
+        tally.candidates = candidates as u32;
         priced.sort_unstable_by(|a, b| a.price_m.total_cmp(&b.price_m).then(a.index.cmp(&b.index)));
         let looked = self.gaze.looks(self.situation);
-        let (mut cheapest_m, mut course) = (f64::INFINITY, Course::None);
         for candidate in priced.iter() {
-            if candidate.price_m >= cheapest_m {
-                break;
-            }
-            let is_flying = self.flying == Some(candidate.index);
+            let is_flying = self.is_flying(candidate.index);
             let threshold = if is_flying { self.config.gamma_high } else { self.config.gamma_low };
             let heading_rad = candidate.heading_rad;
-            self.roll_out(candidate.index, scratch);
-            let admitted = tally.count(admission.admit(scratch, threshold));
-            // What is known all along, though not from here, needs no look.
-            let is_known = admitted.is_some_and(|found| found.unknown_m == 0.0);
-            let looks = candidate.turns && looked < LOOKS && !is_known;
-            let found = if looks && !self.gaze.has_looked(heading_rad, self.situation, self.half_view_rad) {
-                admission.promises(scratch, threshold)
-            } else {
-                admitted
-            };
-            let Some(found) = found else { continue };
-            let price_m = candidate.price_m + self.config.unknown_price * found.unknown_m;
-            if price_m < cheapest_m {
-                cheapest_m = price_m;
-                course = if looks { Course::Look(heading_rad) } else { Course::Go(candidate.index) };
-                std::mem::swap(scratch, best);
+            self.roll_out(candidate.index, best);
+            let admitted = tally.count(admission.admit(best, threshold));
+            // What is known, though not from here, needs no look.
+            let looks =
+                candidate.turns && looked < LOOKS && !(admitted && admission.knows(best, threshold, FORESEEN_S));
+            if looks && !self.gaze.has_looked(heading_rad, self.situation, self.half_view_rad) {
+                if admission.promises(best, threshold, FORESEEN_S) {
+                    return Course::Look(heading_rad);
+                }
+            } else if admitted {
+                return if looks { Course::Look(heading_rad) } else { Course::Go(self.flown(candidate.index)) };
             }
         }
-        course
+        Course::None
     }
 }

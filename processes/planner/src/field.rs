@@ -5,6 +5,7 @@
 //! What was once seen occupied and has left the map since is remembered as dear, not as closed: errors and drift
 //! must not wall the vehicle in. The field prices candidates and admits none: that is [`crate::admission`]'s alone.
 
+use crate::rollout::Sample;
 use ipc_types::limits::Fence;
 use ipc_types::{Point, Vector, World};
 use memory::{Occupancy, Points, Scratch, Unknown, View};
@@ -30,6 +31,12 @@ const NEAR_M: f64 = 3.0;
 const FAR_OCCUPIED: f32 = 3.0;
 /// So far, m.
 const FAR_M: f64 = 6.0;
+/// Most that a metre of a trajectory costs, relative to a free one: what is closed at the middle of a cell may be open beside it.
+const CLOSED_PRICE: f64 = 12.0;
+/// What is no farther from a trajectory's start costs nothing, m.
+const OWN_M: f64 = 0.7;
+/// How steeply a way gets back to its height.
+const CLIMB: f64 = 0.2;
 
 /// What a cell was when it was last known.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -226,6 +233,45 @@ impl Field {
             least = least.min(to_goal_m + centre(self.cell(index), point.z).distance(point));
         }
         least
+    }
+
+    /// What a trajectory costs beyond its length, m: for what is unknown, beside or in something occupied. The vehicle's own
+    /// surroundings cost nothing: it is there.
+    pub(crate) fn beyond_length_m(&self, going: &[Sample]) -> f64 {
+        let Some(start) = going.first().map(|sample| sample.position) else { return 0.0 };
+        let mut cost_m = 0.0;
+        for pair in going.windows(2) {
+            let length_m = pair[0].position.distance(pair[1].position);
+            let pieces = (length_m / CELL_M).ceil().max(1.0) as usize;
+            for piece in 1..=pieces {
+                let place = pair[0].position.lerp(pair[1].position, piece as f64 / pieces as f64);
+                if place.distance(start) > OWN_M {
+                    cost_m += (self.price_at(place).min(CLOSED_PRICE) - 1.0) * length_m / pieces as f64;
+                }
+            }
+        }
+        cost_m
+    }
+
+    /// Price of a metre at a place, relative to a free one; beyond the grid nothing is known to stand.
+    fn price_at(&self, place: Point<World>) -> f64 {
+        let ((x, y), side) = (cell_of(place), self.side() as i64);
+        let (column, row) = (x - self.first.0, y - self.first.1);
+        let is_inside = (0..side).contains(&column) && (0..side).contains(&row);
+        if is_inside { f64::from(self.price[(row * side + column) as usize]) } else { 1.0 }
+    }
+
+    /// The way to the goal from a place, downhill, as far as the grid knows it and `most_m` long at most.
+    pub(crate) fn way(&self, from: Point<World>, height_m: f64, most_m: f64, way: &mut Vec<Point<World>>) {
+        way.clear();
+        way.push(from);
+        let mut at = from;
+        for _ in 0..(most_m / CELL_M) as usize {
+            let Some(downhill) = self.downhill(at) else { break };
+            at += downhill * CELL_M;
+            at.z += (height_m - at.z).clamp(-CLIMB * CELL_M, CLIMB * CELL_M);
+            way.push(at);
+        }
     }
 
     /// Level direction in which the way to the goal gets shorter fastest; `None` at its end, beyond the grid and where

@@ -1,7 +1,7 @@
 //! What the tests of several modules share: a configuration, a map, a situation.
 
 use crate::route::SearchConfig;
-use crate::{Config, RouteConfig, Situation, TakeOff};
+use crate::{Config, LibraryConfig, RouteConfig, Situation, TakeOff};
 use ipc_types::limits::Fence;
 use ipc_types::messages::{ExpandedLayout, Layers};
 use ipc_types::noise::NoiseModel;
@@ -12,9 +12,7 @@ pub(crate) fn config() -> Config {
     Config {
         gamma_low: 0.9,
         gamma_high: 1.8,
-        speed_shares: vec![1.0, 0.6, 0.3],
-        headings_deg: vec![0.0, 10.0, 20.0, 35.0, 50.0, 75.0, 100.0, 130.0],
-        climbs_deg: vec![0.0, 15.0],
+        library: LibraryConfig { size: 120, turn_deg: 170.0, climb_deg: 15.0, slowest_share: 0.3 },
         horizon_s: 1.8,
         commit_s: 0.5,
         lead_s: 0.06,

@@ -30,6 +30,7 @@ mod situation;
 mod stuck;
 
 pub use admission::Tally;
+pub use library::LibraryConfig;
 pub use planner::{Plan, Planner, TakeOff};
 pub use process::PlannerProcess;
 pub use situation::Situation;
@@ -46,12 +47,8 @@ pub struct Config {
     pub gamma_low: f32,
     /// Threshold for the plan being flown (lenient).
     pub gamma_high: f32,
-    /// Speeds of the library, as shares of the cruise speed.
-    pub speed_shares: Vec<f64>,
-    /// Headings of the library relative to the goal's direction, degrees, on each side.
-    pub headings_deg: Vec<f64>,
-    /// Climb angles of the library, degrees, up and down.
-    pub climbs_deg: Vec<f64>,
+    /// The manoeuvres to choose from.
+    pub library: LibraryConfig,
     /// Length of a candidate before it brakes, s.
     pub horizon_s: f64,
     /// Time for which a plan must be safe: replanning interval, latency and the controller's deadline, s.
@@ -119,36 +116,16 @@ pub struct RouteConfig {
 }
 
 impl Config {
-    /// Most candidates that a configuration may ask for.
-    pub const MOST_CANDIDATES: usize = 2000;
-
-    /// Number of candidates of the library.
-    pub fn candidates(&self) -> usize {
-        library::Library::new(self).size()
-    }
-
     /// Reports values out of range.
     pub fn check(&self, bounds: &mut Bounds) {
         bounds.range("gamma_low", self.gamma_low, 0.0..=100.0);
         bounds.range("gamma_high", self.gamma_high, self.gamma_low.max(0.0)..=100.0);
-        let lists = [
-            ("speed_shares", &self.speed_shares, 0.05..=1.0),
-            ("headings_deg", &self.headings_deg, 0.0..=180.0),
-            ("climbs_deg", &self.climbs_deg, 0.0..=80.0),
-        ];
-        for (name, list, allowed) in lists {
-            bounds.require(!list.is_empty(), name, "is empty, needs at least one value");
-            list.iter().for_each(|&value| bounds.range(name, value, allowed.clone()));
-        }
-        let candidates = self.candidates();
-        bounds.require(
-            candidates <= Self::MOST_CANDIDATES,
-            "",
-            format_args!(
-                "speeds, headings and climbs make {candidates} candidates, allowed are {}",
-                Self::MOST_CANDIDATES
-            ),
-        );
+        bounds.section("library", |bounds| {
+            bounds.range("size", self.library.size, 20..=2000);
+            bounds.range("turn_deg", self.library.turn_deg, 10.0..=180.0);
+            bounds.range("climb_deg", self.library.climb_deg, 0.0..=60.0);
+            bounds.range("slowest_share", self.library.slowest_share, 0.05..=1.0);
+        });
         bounds.range("horizon_s", self.horizon_s, 0.3..=6.0);
         bounds.range("commit_s", self.commit_s, 0.05..=2.0);
         bounds.range("lead_s", self.lead_s, 0.0..=0.5);
@@ -193,7 +170,7 @@ impl Config {
 
     /// Distance that the slowest candidate commits to from rest, braking included, m.
     pub fn least_commitment_m(&self, cruise_mps: f64) -> f64 {
-        let slowest = self.speed_shares.iter().copied().fold(1.0, f64::min) * cruise_mps;
+        let slowest = self.library.slowest_share * cruise_mps;
         let accelerating_s = (slowest / self.acceleration_mps2).min(self.commit_s);
         let speed = accelerating_s * self.acceleration_mps2;
         let going_m = speed * (self.commit_s - accelerating_s / 2.0);

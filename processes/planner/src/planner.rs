@@ -2,13 +2,14 @@
 
 use crate::Config;
 use crate::admission::{Admission, Tally};
-use crate::choice::{Course, Priced, Prices};
+use crate::choice::{Course, Flown, Priced, Prices};
 use crate::draft::Draft;
 use crate::field::{Ask, Field};
 use crate::gaze::Gaze;
 use crate::guide::Guide;
-use crate::library::{Aim, Index, Library};
-use crate::rollout::{Rollout, Sample, Target};
+use crate::library::{Aim, Library};
+use crate::rollout::{Rollout, STEP_S, Sample, Target};
+use crate::route::Timing;
 use crate::situation::Situation;
 use crate::stuck::{Stage, Stuck};
 use ipc_types::limits::Fence;
@@ -48,12 +49,15 @@ pub struct Planner {
     airborne: bool,
     arrived: bool,
     goal: Option<Point<World>>,
-    flying: Option<Index>,
+    flying: Option<Flown>,
     stuck: Stuck,
     gaze: Gaze,
     library: Library,
     priced: Vec<Priced>,
     field: Field,
+    /// The field's way, and its timing.
+    way: Vec<Point<World>>,
+    timing: Timing,
     guide: Guide,
     replans: u64,
     scratch: Rollout,
@@ -70,13 +74,19 @@ const SETTLE_MPS: f64 = 0.6;
 const BACK_OUT_MPS: f64 = 1.0;
 /// Longest time that backing out may take, s.
 const BACK_OUT_S: f64 = 20.0;
+/// Faster than this, turns are relative to where the vehicle flies, m/s, else to where the way to the goal leads.
+const UNDER_WAY_MPS: f64 = 1.0;
+/// So much of the field's way is flown along, m: more than any candidate does.
+const WAY_M: f64 = 40.0;
+/// Nearer to the goal than this its height is the one to keep, m.
+const DESCENT_M: f64 = 5.0;
 /// Later than this a refusal ends it, s: before, the map may still change its mind.
 const REFUSED_S: f64 = 3.0;
 
 impl Planner {
-    /// For a vehicle on the ground.
-    pub fn new(config: Config, fence: Fence, take_off: TakeOff) -> Self {
-        let library = Library::new(&config);
+    /// For a vehicle on the ground that is to fly at a cruise speed.
+    pub fn new(config: Config, fence: Fence, take_off: TakeOff, cruise_mps: f64) -> Self {
+        let library = Library::new(&config, cruise_mps);
         Self {
             fence,
             take_off,
@@ -86,9 +96,11 @@ impl Planner {
             flying: None,
             stuck: Stuck::new(),
             gaze: Gaze::new(),
-            priced: Vec::with_capacity(library.size()),
+            priced: Vec::with_capacity(library.size() + 1),
             library,
             field: Field::new(config.field_reach_m),
+            way: Vec::with_capacity(256),
+            timing: Timing::default(),
             guide: Guide::new(&config, fence),
             replans: 0,
             scratch: Rollout::new(),
@@ -166,7 +178,7 @@ impl Planner {
             self.turn(from, situation.yaw_rad, target_rad);
             return plan(PlanMode::LookAround);
         }
-        let (tally, course) = self.choose(from, situation, view);
+        let (tally, course) = self.choose(start, from, situation, view);
         match course {
             Course::None => {
                 let mode = self.no_plan(from, situation, view);
@@ -205,33 +217,44 @@ impl Planner {
     /// Leaves the cheapest admissible candidate in the draft; returns what became of all, and which it is.
     ///
     /// A slow vehicle does not set out where its camera does not look: such a candidate is a wish to look there.
-    fn choose(&mut self, from: Sample, situation: &Situation, view: &View) -> (Tally, Course) {
+    fn choose(&mut self, start: FlightTime, from: Sample, situation: &Situation, view: &View) -> (Tally, Course) {
         let (config, goal) = (&self.config, situation.goal);
         let (unknown_price, clearance_price) = (config.unknown_price as f32, config.clearance_price as f32);
         let ask = Ask { threshold: config.gamma_low, unknown_price, clearance_price };
         self.field.update(view, &self.fence, from.position, goal, ask);
         self.guide.update(view, from.position, goal, config);
-        self.guide.time(from.velocity.norm().min(situation.cruise_mps), &config.limits(situation.cruise_mps));
+        let (limits, speed_mps) = (config.limits(situation.cruise_mps), from.velocity.norm().min(situation.cruise_mps));
+        self.guide.time(speed_mps, &limits);
+        let near_goal = from.position.distance(goal) < LEFT_M;
+        let height_m = if from.position.distance(goal) < DESCENT_M { goal.z } else { self.top().z };
+        self.field.way(from.position, height_m, WAY_M, &mut self.way);
+        self.timing.time(&self.way, WAY_M, speed_mps, &limits, STEP_S);
+        let heading = |direction: Vector<World>| direction.y.atan2(direction.x);
+        let heading_rad = if from.velocity.horizontal_norm() > UNDER_WAY_MPS {
+            heading(from.velocity)
+        } else {
+            self.field.downhill(from.position).map_or(goal_heading(situation), heading)
+        };
+        let ways = [self.guide.timed(), self.timing.timed()];
         let prices = Prices {
             config,
             library: &self.library,
-            aim: Aim { from: from.position, goal, speed_mps: situation.cruise_mps, path: self.guide.timed() },
+            aim: Aim { from, goal, speed_mps: situation.cruise_mps, height_m, heading_rad, ways },
             situation,
-            from,
+            start,
             field: &self.field,
             guide: &self.guide,
             stuck: &self.stuck,
             gaze: &self.gaze,
             flying: self.flying,
-            height_m: self.top().z,
-            near_goal: from.position.distance(goal) < LEFT_M,
+            near_goal,
             half_view_rad: view.half_view_rad(),
         };
         let admission = Admission::new(view, &self.fence, config);
         let mut tally = Tally::default();
         let rollouts = [&mut self.scratch, &mut self.draft.rollout];
         let course = prices.choose(&admission, &mut self.priced, rollouts, &mut tally);
-        let flies = if let Course::Go(index) = course { Some(index) } else { None };
+        let flies = if let Course::Go(flown) = course { Some(flown) } else { None };
         if flies.is_some() && flies != self.flying {
             self.replans += 1;
         }
@@ -294,7 +317,7 @@ impl Planner {
         self.draft.rollout.fill(from, Target::Place(situation.goal, SETTLE_MPS), self.config.horizon_s, &self.config);
         let found = admission.admit(&self.draft.rollout, self.config.gamma_high);
         // So slowly the swept volume alone would admit it, plan by plan, into what was not seen.
-        if !found.is_ok_and(|found| found.unknown_m == 0.0) {
+        if found.is_err() || !admission.knows(&self.draft.rollout, self.config.gamma_high, f64::INFINITY) {
             return self.turn(from, situation.yaw_rad, goal_heading(situation));
         }
         self.flying = None;
@@ -336,7 +359,7 @@ mod tests {
     /// Follows the planner's own plans, ten a second.
     fn fly(view: &View, seconds: f64) -> (Point<World>, f64, Vec<PlanMode>) {
         // The plan is followed exactly and at once.
-        let mut planner = Planner::new(Config { lead_s: 0.0, ..config() }, FENCE, TAKE_OFF);
+        let mut planner = Planner::new(Config { lead_s: 0.0, ..config() }, FENCE, TAKE_OFF, 4.0);
         let (mut position, mut velocity, mut fastest, mut modes) = (Point::ZERO, Vector::ZERO, 0.0_f64, Vec::new());
         for tick in 0..(seconds * 10.0) as usize {
             let plan = planner.step(&situation(tick as f64 * 0.1, position, velocity), view);
@@ -366,7 +389,7 @@ mod tests {
             let fresh = situation(10.0, Point::new(0.0, 0.0, height_m), Vector::new(1.0, 0.0, 0.5));
             let early = FlightTime::from_secs_f64(9.0);
             for stale in [Situation { state_valid: early, ..fresh }, Situation { image_valid: early, ..fresh }] {
-                let mut planner = Planner::new(config(), FENCE, TAKE_OFF);
+                let mut planner = Planner::new(config(), FENCE, TAKE_OFF, 4.0);
                 assert_ne!(planner.step(&fresh, &view).mode, PlanMode::Hold);
                 assert_eq!(planner.step(&stale, &view).mode, PlanMode::Hold);
                 assert_eq!(planner.points().last().expect("points").velocity_mps, [0.0; 3]);
@@ -382,7 +405,7 @@ mod tests {
             let mut view = home_only(home_radius_m);
             // The swept volume alone must not carry it there.
             view.free_space_mut().set_path([Point::new(29.4, 0.0, 2.0)]);
-            let mut planner = Planner::new(config(), FENCE, TAKE_OFF);
+            let mut planner = Planner::new(config(), FENCE, TAKE_OFF, 4.0);
             assert_eq!(planner.step(&at, &view).mode, PlanMode::Arrived);
             let end = planner.points().last().expect("points").position_m[0];
             assert!((end - end_m).abs() < 0.1, "{end}");
@@ -401,7 +424,7 @@ mod tests {
         let mut view = before_a_wall();
         let flown = (0..=18).map(|place| Point::new(f64::from(place) * 0.25, 0.0, 2.0));
         view.free_space_mut().set_path(flown);
-        let mut planner = Planner::new(Config { lead_s: 0.0, ..config() }, FENCE, TAKE_OFF);
+        let mut planner = Planner::new(Config { lead_s: 0.0, ..config() }, FENCE, TAKE_OFF, 4.0);
         let (mut position, mut velocity, mut modes) = (Point::new(4.5, 0.0, 2.0), Vector::ZERO, Vec::new());
         for tick in 0..300 {
             let plan = planner.step(&situation(f64::from(tick) * 0.1, position, velocity), &view);
@@ -429,7 +452,7 @@ mod tests {
     fn keeps_inside_the_fence() {
         // The plan is followed exactly and at once.
         let config = Config { lead_s: 0.0, ..config() };
-        let mut planner = Planner::new(config, Fence { most_m: [20.0, 50.0, 6.0], ..FENCE }, TAKE_OFF);
+        let mut planner = Planner::new(config, Fence { most_m: [20.0, 50.0, 6.0], ..FENCE }, TAKE_OFF, 4.0);
         let view = home_only(200.0);
         let (mut position, mut velocity) = (Point::new(0.0, 0.0, 2.0), Vector::ZERO);
         for tick in 0..200 {

@@ -25,12 +25,19 @@ pub struct PlannerProcess {
 }
 
 impl PlannerProcess {
-    /// For a vehicle on the ground.
-    pub fn new(model: MapModel, rule: FreeSpaceRule, config: Config, fence: Fence, take_off: TakeOff) -> Self {
+    /// For a vehicle on the ground that is to fly at a cruise speed.
+    pub fn new(
+        model: MapModel,
+        rule: FreeSpaceRule,
+        config: Config,
+        fence: Fence,
+        take_off: TakeOff,
+        cruise_mps: f64,
+    ) -> Self {
         Self {
             view: View::new(model, FreeSpace::new(rule, take_off.from)),
             lead_s: config.lead_s,
-            planner: Planner::new(config, fence, take_off),
+            planner: Planner::new(config, fence, take_off, cruise_mps),
             goal: None,
             state: None,
             images: Vec::new(),

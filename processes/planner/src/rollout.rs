@@ -26,8 +26,15 @@ pub(crate) struct Sample {
 /// What the velocity follows.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Target<'a> {
-    /// A constant velocity.
-    Velocity(Vector<World>),
+    /// One velocity, and after a while another.
+    Turn {
+        /// At first.
+        first: Vector<World>,
+        /// From `switch_s` on.
+        then: Vector<World>,
+        /// Since the start, s.
+        switch_s: f64,
+    },
     /// A place to come to rest at, approached no faster than this.
     Place(Point<World>, f64),
     /// A timed path, no faster than this.
@@ -53,9 +60,10 @@ impl Rollout {
         let mut sample = start;
         let steps = (duration_s / STEP_S).round() as usize;
         let mut passed = 0;
-        for _ in 0..steps.min(MOST_SAMPLES) {
+        for step in 0..steps.min(MOST_SAMPLES) {
             let wanted = match target {
-                Target::Velocity(velocity) => velocity,
+                Target::Turn { first, switch_s, .. } if (step as f64) * STEP_S < switch_s => first,
+                Target::Turn { then, .. } => then,
                 Target::Place(place, speed) => approach(place - sample.position, speed, config),
                 Target::Along(path, speed) => follow(path, &mut passed, sample.position, speed),
             };
@@ -159,10 +167,11 @@ mod tests {
     fn every_rollout_is_feasible_and_ends_at_rest() {
         let config = config();
         let mut rollout = Rollout::new();
+        let turn = |first, then| Target::Turn { first, then, switch_s: 0.8 };
         let targets = [
-            Target::Velocity(Vector::new(-2.0, 3.0, 1.0)),
+            turn(Vector::new(-2.0, 3.0, 1.0), Vector::new(3.0, 2.0, 0.0)),
             Target::Place(Point::new(1.0, 0.5, 2.0), 4.0),
-            Target::Velocity(Vector::ZERO),
+            turn(Vector::ZERO, Vector::ZERO),
         ];
         for target in targets {
             rollout.fill(start(4.0), target, config.horizon_s, &config);
