@@ -115,11 +115,17 @@ impl Admission<'_> {
     /// Whether nothing known stands in a candidate's way for so long, were all of it seen that can be seen from here: good
     /// enough to look there, not to fly. What is too near for the camera to see the whole body there must be known already.
     pub(crate) fn promises(&self, rollout: &Rollout, threshold: f32, seconds: f64) -> bool {
-        let Ok(escape) = self.escape(rollout, threshold) else { return false };
         let from = rollout.samples[0].position;
         let near = |sample: &&Sample| sample.position.distance(from) < self.config.blind_m;
         let near = rollout.samples.iter().take_while(near).count();
-        self.walk(first(rollout, seconds), near, threshold, escape).is_ok()
+        self.escape(rollout, threshold)
+            .is_ok_and(|escape| self.walk(first(rollout, seconds), near, threshold, escape).is_ok())
+    }
+
+    /// Whether nothing known stands in a candidate's way for so long: good enough to look there from farther away.
+    pub(crate) fn hides(&self, rollout: &Rollout, threshold: f32, seconds: f64) -> bool {
+        self.escape(rollout, threshold)
+            .is_ok_and(|escape| self.walk(first(rollout, seconds), 0, threshold, escape).is_ok())
     }
 
     /// Asks along samples, of which the first `known` steps must be known free.

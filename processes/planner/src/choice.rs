@@ -6,13 +6,14 @@
 use crate::Config;
 use crate::admission::{Admission, Tally};
 use crate::field::Field;
-use crate::gaze::{Gaze, LOOKS, is_seen};
+use crate::gaze::{Gaze, LOOKS, StepBack, is_seen};
 use crate::guide::Guide;
 use crate::library::{Aim, Index, Library};
 use crate::rollout::{Rollout, STEP_S, Sample, Target};
 use crate::situation::Situation;
 use crate::stuck::Stuck;
 use ipc_types::{FlightTime, Point, Vector, World};
+use std::f64::consts::PI;
 use std::time::Duration;
 
 /// Slower than this the vehicle looks before it sets out to where it does not look, m/s.
@@ -23,6 +24,12 @@ const NO_WAY_M: f64 = 20.0;
 const WORTHWHILE_M: f64 = 0.3;
 /// A candidate sets out to where it leads after so long, s.
 const SETS_OUT_S: f64 = 1.0;
+/// How far to step back to look, as a share of what the camera cannot see a body within.
+const STEP_SHARE: f64 = 0.7;
+/// Speed of stepping back, m/s.
+pub(crate) const STEP_MPS: f64 = 0.8;
+/// Directions of stepping back, from straight back, rad.
+const ASIDE_RAD: [f64; 5] = [0.0, 0.5, -0.5, 1.0, -1.0];
 /// Weight of what remains to the goal by then, relative to what remains at a candidate's end: it will be chosen anew long
 /// before that, and what puts off its speed would put it off for ever.
 const SOON: f64 = 0.5;
@@ -47,6 +54,8 @@ pub(crate) enum Course {
     Go(Flown),
     /// Look along its heading, rad, before it may be flown.
     Look(f64),
+    /// Look along its heading from farther away.
+    StepBack(StepBack),
 }
 
 /// A candidate and what it costs, m.
@@ -176,7 +185,12 @@ impl Prices<'_> {
         tally.candidates = candidates as u32;
         priced.sort_unstable_by(|a, b| a.price_m.total_cmp(&b.price_m).then(a.index.cmp(&b.index)));
         let looked = self.gaze.looks(self.situation);
+        let slow = self.situation.velocity.norm() < LOOK_FIRST_MPS && !self.near_goal;
+        let mut hidden: Option<(f64, StepBack)> = None;
         for candidate in priced.iter() {
+            if let Some((_, step)) = hidden.filter(|(price_m, _)| *price_m < candidate.price_m) {
+                return Course::StepBack(step);
+            }
             let is_flying = self.is_flying(candidate.index);
             let threshold = if is_flying { self.config.gamma_high } else { self.config.gamma_low };
             let heading_rad = candidate.heading_rad;
@@ -192,7 +206,24 @@ impl Prices<'_> {
             } else if admitted {
                 return if looks { Course::Look(heading_rad) } else { Course::Go(self.flown(candidate.index)) };
             }
+            let hides = slow && hidden.is_none() && looked < LOOKS && admission.hides(best, threshold, FORESEEN_S);
+            if hides && let Some(step) = self.step_back(heading_rad, admission, best) {
+                hidden = Some((candidate.price_m + self.config.step_back_price_m * (looked + 1).pow(2) as f64, step));
+            }
         }
-        Course::None
+        hidden.map_or(Course::None, |(_, step)| Course::StepBack(step))
+    }
+
+    /// A place from where what hides on a heading, too near for the camera, can be seen: straight back or aside of that, as
+    /// far as all of the way is known free. Leaves the way in `best`.
+    fn step_back(&self, heading_rad: f64, admission: &Admission<'_>, best: &mut Rollout) -> Option<StepBack> {
+        let (from, threshold) = (self.aim.from, self.config.gamma_high);
+        ASIDE_RAD.into_iter().find_map(|aside_rad| {
+            let back_rad = heading_rad + PI + aside_rad;
+            let to = from.position + Vector::new(back_rad.cos(), back_rad.sin(), 0.0) * (STEP_SHARE * self.config.blind_m);
+            best.fill(from, Target::Place(to, STEP_MPS), FORESEEN_S, self.config);
+            let is_free = admission.admit(best, threshold).is_ok() && admission.knows(best, threshold, f64::INFINITY);
+            is_free.then_some(StepBack { to, heading_rad })
+        })
     }
 }

@@ -33,6 +33,7 @@ pub(crate) fn config() -> Config {
         height_price: 0.5,
         hysteresis_m: 0.6,
         look_price_m: 0.5,
+        step_back_price_m: 2.0,
         blind_m: 0.9,
         patience_s: 1.0,
         back_out_m: 3.0,

@@ -2,6 +2,8 @@
 //!
 //! A sideways plan from rest begins where the camera does not look, so that it can neither be vouched for nor refused
 //! by what is there. Two such plans, one on each side of an obstacle, would take turns for ever.
+//!
+//! What is too near for the camera to see a whole body there is looked at from farther away: the vehicle steps back.
 
 use crate::situation::Situation;
 use ipc_types::frames::wrap_angle_rad;
@@ -11,6 +13,10 @@ use ipc_types::{FlightTime, Point, World};
 const ALIGNED_RAD: f64 = 0.14;
 /// Longest that a turn may take, s.
 const TURN_S: f64 = 4.0;
+/// A step back ends so near to where it leads, m ...
+const STEPPED_M: f64 = 0.15;
+/// ... or after so long, s.
+const STEP_S: f64 = 3.0;
 /// What was looked at is forgotten after this long, s ...
 const FORGET_S: f64 = 12.0;
 /// ... or this far away, m.
@@ -25,6 +31,13 @@ struct Look {
     at: Point<World>,
 }
 
+/// A step back that leads where the vehicle can be seen to come through, and where the camera looks meanwhile.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct StepBack {
+    pub(crate) to: Point<World>,
+    pub(crate) heading_rad: f64,
+}
+
 /// Most looks from one place.
 pub(crate) const LOOKS: usize = 6;
 
@@ -32,18 +45,40 @@ pub(crate) const LOOKS: usize = 6;
 #[derive(Clone, Debug)]
 pub(crate) struct Gaze {
     turn: Option<Look>,
+    step: Option<(StepBack, FlightTime)>,
     looked: Vec<Look>,
 }
 
 impl Gaze {
     pub(crate) fn new() -> Self {
-        Self { turn: None, looked: Vec::with_capacity(LOOKS + 2) }
+        Self { turn: None, step: None, looked: Vec::with_capacity(LOOKS + 2) }
     }
 
     /// Forgets everything.
     pub(crate) fn reset(&mut self) {
         self.turn = None;
+        self.step = None;
         self.looked.clear();
+    }
+
+    /// Begins to step back. It is a look, too: it will not do so for ever.
+    pub(crate) fn step_back(&mut self, step: StepBack, now: FlightTime, at: Point<World>) {
+        self.look(step.heading_rad, now, at);
+        self.step = Some((step, now));
+    }
+
+    /// The step back, until it is done, or was not within a reasonable time.
+    pub(crate) fn stepping(&mut self, now: FlightTime, at: Point<World>) -> Option<StepBack> {
+        let (step, since) = self.step?;
+        if step.to.distance(at) < STEPPED_M || now.seconds_since(since) > STEP_S {
+            self.step = None;
+        }
+        self.step.map(|(step, _)| step)
+    }
+
+    /// Ends a step back that may not be flown.
+    pub(crate) fn stay(&mut self) {
+        self.step = None;
     }
 
     /// Begins to turn.

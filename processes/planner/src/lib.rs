@@ -90,6 +90,8 @@ pub struct Config {
     /// Price of turning the camera to where it does not look before setting out there, m; the n-th look from a place costs
     /// n² times as much.
     pub look_price_m: f64,
+    /// Price of stepping back to look at what is too near, m; the n-th look from a place costs n² times as much.
+    pub step_back_price_m: f64,
     /// What is unknown and nearer than this no look from here makes known, m: the body does not fit into the view, or
     /// stereo does not match.
     pub blind_m: f64,
@@ -146,6 +148,7 @@ impl Config {
         bounds.range("height_price", self.height_price, 0.0..=100.0);
         bounds.range("hysteresis_m", self.hysteresis_m, 0.0..=10.0);
         bounds.range("look_price_m", self.look_price_m, 0.0..=100.0);
+        bounds.range("step_back_price_m", self.step_back_price_m, 0.0..=100.0);
         bounds.range("blind_m", self.blind_m, 0.0..=10.0);
         bounds.range("patience_s", self.patience_s, 0.1..=30.0);
         bounds.range("back_out_m", self.back_out_m, 0.5..=50.0);

@@ -2,10 +2,10 @@
 
 use crate::Config;
 use crate::admission::{Admission, Tally};
-use crate::choice::{Course, Flown, Priced, Prices};
+use crate::choice::{Course, Flown, Priced, Prices, STEP_MPS};
 use crate::draft::Draft;
 use crate::field::{Ask, Field};
-use crate::gaze::Gaze;
+use crate::gaze::{Gaze, StepBack};
 use crate::guide::Guide;
 use crate::library::{Aim, Library};
 use crate::rollout::{Rollout, STEP_S, Sample, Target};
@@ -173,6 +173,12 @@ impl Planner {
             self.brake(from, situation.yaw_rad);
             return plan(PlanMode::Hold);
         }
+        if let Some(step) = self.gaze.stepping(situation.now, situation.position) {
+            self.stuck.looking(situation.now);
+            if self.step_back(step, from, situation, view) {
+                return plan(PlanMode::BackOut);
+            }
+        }
         if let Some(target_rad) = self.gaze.turning(situation.now, situation.yaw_rad) {
             self.stuck.looking(situation.now);
             self.turn(from, situation.yaw_rad, target_rad);
@@ -189,6 +195,12 @@ impl Planner {
                 self.gaze.look(heading_rad, situation.now, situation.position);
                 self.turn(from, situation.yaw_rad, heading_rad);
                 return Plan { tally, ..plan(PlanMode::LookAround) };
+            }
+            Course::StepBack(step) => {
+                self.stuck.moving();
+                self.gaze.step_back(step, situation.now, situation.position);
+                let mode = if self.step_back(step, from, situation, view) { PlanMode::BackOut } else { PlanMode::Hold };
+                return Plan { tally, ..plan(mode) };
             }
             Course::Go(_) => self.stuck.moving(),
         }
@@ -309,6 +321,21 @@ impl Planner {
         }
         self.write_points(situation.yaw_rad, |_| situation.yaw_rad);
         PlanMode::BackOut
+    }
+
+    /// Steps back, looking where it wants to go; brakes and says no where that is not known free any more.
+    fn step_back(&mut self, step: StepBack, from: Sample, situation: &Situation, view: &View) -> bool {
+        self.flying = None;
+        self.draft.rollout.fill(from, Target::Place(step.to, STEP_MPS), 1.5, &self.config);
+        let admission = Admission::new(view, &self.fence, &self.config);
+        let is_free = admission.admit(&self.draft.rollout, self.config.gamma_high).is_ok();
+        if is_free {
+            self.write_points(situation.yaw_rad, |_| step.heading_rad);
+        } else {
+            self.gaze.stay();
+            self.turn(from, situation.yaw_rad, step.heading_rad);
+        }
+        is_free
     }
 
     /// At the goal: closes what is left of the way if all of it is known free, else looks there.
