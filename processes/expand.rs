@@ -142,6 +142,7 @@ impl ExpandArguments {
             body_radius_m,
             body_half_height_m: body_radius_m.min(half_height_m),
             hole_px: self.hole,
+            patch_px: 0,
             background: BackgroundRule { limit_m: 0.0, share: 0.0, textureless_share: 1.0 },
             ..Config::for_sphere(self.radius)
         }

@@ -96,6 +96,7 @@ impl MapArguments {
             body_radius_m: body_m,
             body_half_height_m: body_m,
             hole_px: 4,
+            patch_px: 0,
             ..Config::for_sphere(self.radius)
         };
         let (near_px, far_px) = (20.0 * self.sigma, 8.0 * self.sigma);

@@ -95,6 +95,7 @@ fn no_point_near_a_really_measured_surface_is_free() {
                 body_radius_m: 0.5 * radius_m,
                 body_half_height_m: 0.3 * radius_m,
                 hole_px: 6,
+                patch_px: 0,
                 background: BackgroundRule { limit_m: 12.0, share: 0.7, textureless_share: 0.8 },
                 ..Config::for_sphere(radius_m)
             };
@@ -176,6 +177,7 @@ fn what_a_depth_camera_has_seen_agrees_with_what_it_sees_later() {
         body_radius_m: 0.03,
         body_half_height_m: 0.03,
         hole_px: 12,
+        patch_px: 0,
         ..Config::for_sphere(0.15)
     };
     let expanded: Vec<Expanded> = frames

@@ -59,6 +59,7 @@ fn bench(criterion: &mut Criterion) {
                     body_radius_m: 0.3,
                     body_half_height_m: 0.2,
                     hole_px: 6,
+                    patch_px: 0,
                     background: BackgroundRule { limit_m: 12.0, share: 0.7, textureless_share: 0.8 },
                     ..Config::for_sphere(radius_m)
                 };

@@ -5,6 +5,7 @@ use crate::clearance::{Body, Clearance};
 use crate::inflate::Inflate;
 use crate::measured::{column_values, fill_holes};
 use crate::next_group::NextGroup;
+use crate::patches::Patches;
 use crate::range_max::RangeMax;
 use crate::tables::Tables;
 use crate::transpose::transpose;
@@ -75,6 +76,7 @@ pub struct Expander {
 #[derive(Debug)]
 struct Scratch {
     filled: Vec<u16>,
+    patches: Patches,
     /// Values, column by column and row by row.
     columns: Vec<u16>,
     values: Vec<u16>,
@@ -111,6 +113,7 @@ impl Expander {
             threads: (threads > 1).then(|| ThreadPoolBuilder::new().num_threads(threads).build().ok()).flatten(),
             scratch: Scratch {
                 filled: image(),
+                patches: Patches::new(rig.pixels()),
                 columns: image(),
                 values: image(),
                 near_limits: image(),
@@ -167,8 +170,9 @@ impl Scratch {
         self.filled.copy_from_slice(disparity);
         self.filled.chunks_exact_mut(width).for_each(|row| fill_holes(row, longest, true));
         transpose(&self.filled, width, &mut self.values);
-        for (column, values) in self.values.chunks_exact_mut(height).zip(self.columns.chunks_exact_mut(height)) {
-            fill_holes(column, longest, false);
+        self.values.chunks_exact_mut(height).for_each(|column| fill_holes(column, longest, false));
+        self.patches.fill(&mut self.values, height, config.patch_px as usize);
+        for (column, values) in self.values.chunks_exact(height).zip(self.columns.chunks_exact_mut(height)) {
             column_values(column, tables, rig, &config.background, values);
         }
         transpose(&self.columns, height, &mut self.values);

@@ -27,6 +27,7 @@ mod expander;
 mod inflate;
 mod measured;
 mod next_group;
+mod patches;
 mod process;
 mod range_groups;
 mod range_max;
@@ -64,6 +65,8 @@ pub struct Config {
     /// Longest run of unmatched pixels, along a row or a column, that takes the nearer of its two ends, px. Along a row
     /// the shadow of a near surface is filled in addition.
     pub hole_px: u32,
+    /// Longest side of an unmatched patch within what was measured that takes the nearest of what surrounds it, px.
+    pub patch_px: u32,
     /// What clear sky is worth.
     pub background: BackgroundRule,
 }
@@ -80,6 +83,7 @@ impl Config {
             body_radius_m: radius_m,
             body_half_height_m: radius_m,
             hole_px: 0,
+            patch_px: 0,
             background: BackgroundRule { limit_m: 0.0, share: 0.0, textureless_share: 1.0 },
         }
     }
@@ -110,6 +114,7 @@ impl Config {
             bounds.require(fits, name, format_args!("is {body_m} m, must not exceed {axis} = {inflation_m} m"));
         }
         bounds.range("hole_px", self.hole_px, 0..=128);
+        bounds.range("patch_px", self.patch_px, 0..=128);
         bounds.section("background", |bounds| self.background.check(bounds));
     }
 }

@@ -25,6 +25,7 @@ fn clear_sky_grants_a_limited_range_and_a_blank_wall_none_beyond_it() {
                 body_radius_m: 0.3,
                 body_half_height_m: 0.15,
                 hole_px: 4,
+                patch_px: 0,
                 background: BackgroundRule { limit_m: 12.0, share: 0.7, textureless_share: 0.8 },
                 ..Config::for_sphere(0.5)
             };

@@ -33,6 +33,7 @@ fn random_view(seed: u64) -> (View, Pcg64Mcg) {
         body_radius_m: 0.2,
         body_half_height_m: 0.15,
         hole_px: 2,
+        patch_px: 0,
         background,
         ..Config::for_sphere(0.4)
     };

@@ -220,7 +220,8 @@ impl Prices<'_> {
         let (from, threshold) = (self.aim.from, self.config.gamma_high);
         ASIDE_RAD.into_iter().find_map(|aside_rad| {
             let back_rad = heading_rad + PI + aside_rad;
-            let to = from.position + Vector::new(back_rad.cos(), back_rad.sin(), 0.0) * (STEP_SHARE * self.config.blind_m);
+            let to =
+                from.position + Vector::new(back_rad.cos(), back_rad.sin(), 0.0) * (STEP_SHARE * self.config.blind_m);
             best.fill(from, Target::Place(to, STEP_MPS), FORESEEN_S, self.config);
             let is_free = admission.admit(best, threshold).is_ok() && admission.knows(best, threshold, f64::INFINITY);
             is_free.then_some(StepBack { to, heading_rad })

@@ -74,6 +74,7 @@ impl Scene {
             body_radius_m: radius_m * random.random_range(0.1_f32..1.0),
             body_half_height_m: half_height_m * random.random_range(0.1_f32..1.0),
             hole_px: random.random_range(0..5),
+            patch_px: 0,
             background: BackgroundRule { limit_m: 12.0, share: 0.7, textureless_share: 0.8 },
             ..Config::for_sphere(radius_m)
         };
