@@ -250,7 +250,7 @@ impl NoiseCamera {
                 // What is thin is found or missed from side to side.
                 let class = self.classes[pixel];
                 let is_thin = matches!(class, Class::Hair | Class::Thin);
-                if matches!(class, Class::Far | Class::Inside | Class::Blank) {
+                if matches!(class, Class::Far | Class::Blank) {
                     decision = surfaces[column / (SURFACE * patch)];
                 } else if !(is_thin && was_thin) {
                     decision = details[column / patch];
