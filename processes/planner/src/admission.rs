@@ -9,8 +9,9 @@ use memory::{Occupancy, View};
 /// Spacing at which the start of a candidate is searched for the way out, m.
 const ESCAPE_SPACING_M: f64 = 0.05;
 
-/// A retreat may begin with an occupied stretch so many times as long as other candidates: about all of a margin.
-const RETREAT: f64 = 2.0;
+/// A retreat along the path flown may begin with an occupied stretch so long, m: no view shows where the vehicle is, and
+/// that it came through says more than what views from afar make of the place.
+const RETREAT_M: f64 = 2.5;
 
 /// Asks the map about candidates.
 #[derive(Clone, Copy, Debug)]
@@ -28,9 +29,9 @@ impl<'a> Admission<'a> {
     }
 
     /// For the way that the vehicle came by: it has been there, so it may leave a margin that way from deeper inside.
-    /// What was seen too late, such as a branch that points at the camera, is met so.
+    /// What was seen too late, such as a branch that points at the camera, is met so, and so are phantoms.
     pub(crate) fn of_retreat(view: &'a View, fence: &'a Fence, config: &'a Config) -> Self {
-        Self { escape_m: RETREAT * config.escape_m, ..Self::new(view, fence, config) }
+        Self { escape_m: RETREAT_M.max(config.escape_m), ..Self::new(view, fence, config) }
     }
 }
 

@@ -11,7 +11,8 @@ use crate::guide::Guide;
 use crate::library::{Aim, Index, Library};
 use crate::rollout::{Rollout, STEP_S, Sample, Target};
 use crate::situation::Situation;
-use crate::stuck::Stuck;
+use crate::stuck::{LOOK_SHARE, Stuck};
+use ipc_types::frames::wrap_angle_rad;
 use ipc_types::{FlightTime, Point, Vector, World};
 use std::f64::consts::PI;
 use std::time::Duration;
@@ -134,7 +135,7 @@ impl Prices<'_> {
         let turns = slow && !is_seen(heading_rad, self.situation.yaw_rad, self.half_view_rad);
         // Every look from here makes turning away dearer, by the square of their number: it must be done with looking.
         let looks = if turns { 1 + self.gaze.looks(self.situation) } else { 0 };
-        let look_m = self.config.look_price_m * (looks * looks) as f64;
+        let look_m = self.config.look_price_m * (looks * looks) as f64 + if turns { self.waiting_m(heading_rad) } else { 0.0 };
         // Also where it comes to rest: what shoots past the goal is no nearer to it.
         let rest = rollout.samples.last().map_or(end.position, |rest| rest.position);
         let price_m = self.to_goal_m(end.position).max(self.to_goal_m(rest))
@@ -145,6 +146,12 @@ impl Prices<'_> {
             + look_m
             - hysteresis_m;
         Some(Priced { index, price_m, heading_rad, turns })
+    }
+
+    /// Distance that would be flown, at half of the cruise speed, while the camera turns to a heading, m.
+    fn waiting_m(&self, heading_rad: f64) -> f64 {
+        let turn_rad = wrap_angle_rad(heading_rad - self.situation.yaw_rad).abs();
+        0.5 * self.situation.cruise_mps * turn_rad / (LOOK_SHARE * self.config.yaw_rate_degps.to_radians())
     }
 
     /// What it costs to get from the velocity at a candidate's end to the one that the rest of the way asks for, m: the

@@ -35,6 +35,8 @@ const FAR_M: f64 = 6.0;
 const CLOSED_PRICE: f64 = 12.0;
 /// What is no farther from a trajectory's start costs nothing, m.
 const OWN_M: f64 = 0.7;
+/// So often a way is smoothed: over about a metre.
+const SMOOTHINGS: usize = 8;
 /// How steeply a way gets back to its height.
 const CLIMB: f64 = 0.2;
 
@@ -272,6 +274,7 @@ impl Field {
             at.z += (height_m - at.z).clamp(-CLIMB * CELL_M, CLIMB * CELL_M);
             way.push(at);
         }
+        smooth(way);
     }
 
     /// Level direction in which the way to the goal gets shorter fastest; `None` at its end, beyond the grid and where
@@ -305,6 +308,16 @@ pub(crate) struct Ask {
     pub(crate) unknown_price: f32,
     /// What a metre right beside something occupied costs beyond a free one.
     pub(crate) clearance_price: f32,
+}
+
+/// Takes out the corners that the grid makes: every place moves to the middle of itself and what lies beside it.
+fn smooth(way: &mut [Point<World>]) {
+    for _ in 0..SMOOTHINGS {
+        for index in 1..way.len().max(1) - 1 {
+            let between = way[index - 1].lerp(way[index + 1], 0.5);
+            way[index] = way[index].lerp(between, 0.5);
+        }
+    }
 }
 
 fn cell_of(point: Point<World>) -> (i64, i64) {

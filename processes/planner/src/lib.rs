@@ -71,7 +71,7 @@ pub struct Config {
     pub jerk_mps3: f64,
     /// Deceleration of a stop for want of an admissible plan, m/s².
     pub hard_braking_mps2: f64,
-    /// How far from a candidate's start an occupied stretch may reach that leads out of a margin the vehicle is in, m; twice as far by the way it came.
+    /// How far from a candidate's start an occupied stretch may reach that leads out of a margin the vehicle is in, m.
     pub escape_m: f64,
     /// Speed of take-off, m/s.
     pub take_off_mps: f64,
