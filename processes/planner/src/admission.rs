@@ -209,7 +209,7 @@ fn first(rollout: &Rollout, seconds: f64) -> &[Sample] {
 mod tests {
     use super::*;
     use crate::fixtures::{FENCE, before_a_wall, config, home_only};
-    use crate::rollout::Target;
+    use crate::rollout::{Target, Turn};
     use ipc_types::Vector;
 
     fn admit(x_m: f64, velocity: Vector<World>, to: Vector<World>) -> Result<(), Refusal> {
@@ -217,7 +217,7 @@ mod tests {
         let admission = Admission::new(&view, &FENCE, &config);
         let mut rollout = Rollout::new();
         let from = Sample { position: Point::new(x_m, 0.0, 2.0), velocity };
-        rollout.fill(from, Target::Turn { first: to, then: to, switch_s: 1.0 }, 1.0, &config);
+        rollout.fill(from, Target::Turn(Turn { first: to, then: to, switch_s: 1.0 }), 1.0, &config);
         admission.admit(&rollout, config.gamma_low)
     }
 
@@ -242,7 +242,7 @@ mod tests {
             let admission = Admission::new(&view, &FENCE, &config);
             let from = Sample { position: Point::new(x_m, 0.0, 2.0), velocity: Vector::new(2.0, 0.0, 0.0) };
             let ahead = Vector::new(4.0, 0.0, 0.0);
-            rollout.fill(from, Target::Turn { first: ahead, then: ahead, switch_s: 1.0 }, 1.0, &config);
+            rollout.fill(from, Target::Turn(Turn { first: ahead, then: ahead, switch_s: 1.0 }), 1.0, &config);
             assert_eq!(admission.admit(&rollout, config.gamma_low), Err(Refusal::Unknown));
             assert_eq!(admission.promises(&rollout, config.gamma_low, 1.0), promises, "from {x_m} m");
         }

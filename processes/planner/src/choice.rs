@@ -9,13 +9,12 @@ use crate::field::Field;
 use crate::gaze::{Gaze, LOOKS, StepBack, is_seen};
 use crate::guide::Guide;
 use crate::library::{Aim, Index, Library};
-use crate::rollout::{Rollout, STEP_S, Sample, Target};
+use crate::rollout::{Rollout, STEP_S, Sample, Target, Turn};
 use crate::situation::Situation;
 use crate::stuck::{LOOK_SHARE, Stuck};
 use ipc_types::frames::wrap_angle_rad;
 use ipc_types::{FlightTime, Point, Vector, World};
 use std::f64::consts::PI;
-use std::time::Duration;
 
 /// Slower than this the vehicle looks before it sets out to where it does not look, m/s.
 const LOOK_FIRST_MPS: f64 = 0.9;
@@ -31,6 +30,18 @@ const STEP_SHARE: f64 = 0.7;
 pub(crate) const STEP_MPS: f64 = 0.8;
 /// Directions of stepping back, from straight back, rad.
 const ASIDE_RAD: [f64; 5] = [0.0, 0.5, -0.5, 1.0, -1.0];
+/// Place of the manoeuvre being flown behind the library; refined ones follow it.
+const FLYING: usize = 0;
+/// So many of the cheapest manoeuvres are refined ...
+pub(crate) const REFINED: usize = 3;
+/// ... in so many rounds ...
+const ROUNDS: usize = 8;
+/// ... by so many parameters.
+const PARAMETERS: usize = 5;
+/// Largest changes of a manoeuvre's parameters at a time.
+const LARGEST_TURN_RAD: f64 = 0.2;
+const LARGEST_SCALE: f64 = 0.25;
+const LARGEST_SWITCH_S: f64 = 0.3;
 /// Weight of what remains to the goal by then, relative to what remains at a candidate's end: it will be chosen anew long
 /// before that, and what puts off its speed would put it off for ever.
 const SOON: f64 = 0.5;
@@ -42,8 +53,8 @@ const FORESEEN_S: f64 = 1.5;
 pub(crate) enum Flown {
     /// A candidate that aims at the goal or follows a way.
     Aimed(Index),
-    /// A manoeuvre: its velocities, and when the second begins.
-    Turn { first: Vector<World>, then: Vector<World>, until: FlightTime },
+    /// A manoeuvre, begun at this time.
+    Turn(Turn, FlightTime),
 }
 
 /// What the cheapest candidate asks for.
@@ -88,36 +99,36 @@ pub(crate) struct Prices<'a> {
 }
 
 impl Prices<'_> {
-    fn target(&self, index: Index) -> Target<'_> {
-        match self.flying {
-            Some(Flown::Turn { first, then, until }) if index == self.library.size() => {
-                Target::Turn { first, then, switch_s: until.seconds_since(self.start) }
+    fn target(&self, index: Index, refined: &[Turn]) -> Target<'_> {
+        let size = self.library.size();
+        match (index.checked_sub(size), self.flying) {
+            (None, _) => self.library.target(index, &self.aim),
+            (Some(FLYING), Some(Flown::Turn(turn, begun))) => {
+                Target::Turn(Turn { switch_s: turn.switch_s - self.start.seconds_since(begun), ..turn })
             }
-            _ => self.library.target(index, &self.aim),
+            (Some(other), _) => Target::Turn(refined[other - FLYING - 1]),
         }
     }
 
     /// What a candidate is called once it is flown.
-    fn flown(&self, index: Index) -> Flown {
-        match (self.target(index), self.flying) {
+    fn flown(&self, index: Index, refined: &[Turn]) -> Flown {
+        match (self.target(index, refined), self.flying) {
             (_, Some(flying)) if self.is_flying(index) => flying,
-            (Target::Turn { first, then, switch_s }, _) => {
-                Flown::Turn { first, then, until: self.start + Duration::from_secs_f64(switch_s) }
-            }
+            (Target::Turn(turn), _) => Flown::Turn(turn, self.start),
             _ => Flown::Aimed(index),
         }
     }
 
     fn is_flying(&self, index: Index) -> bool {
         match self.flying {
-            Some(Flown::Turn { .. }) => index == self.library.size(),
+            Some(Flown::Turn(..)) => index == self.library.size() + FLYING,
             Some(Flown::Aimed(flying)) => index == flying,
             None => false,
         }
     }
 
-    fn roll_out(&self, index: Index, rollout: &mut Rollout) {
-        rollout.fill(self.aim.from, self.target(index), self.config.horizon_s, self.config);
+    fn roll_out(&self, target: Target<'_>, rollout: &mut Rollout) {
+        rollout.fill(self.aim.from, target, self.config.horizon_s, self.config);
     }
 
     /// Prices a candidate, rolled out; `None` where it hardly moves.
@@ -175,22 +186,63 @@ impl Prices<'_> {
         level_m.min(NO_WAY_M + if path_m.is_finite() { path_m } else { end.distance(self.situation.goal) })
     }
 
-    /// Prices all candidates, asks about them, cheapest first, and leaves the first admissible one in `best`.
+    /// Prices all candidates, and refines the cheapest manoeuvres. Leaves them in the order of their prices.
+    fn price_all(&self, Candidates { priced, refined, scratch, .. }: &mut Candidates<'_>) {
+        priced.clear();
+        refined.clear();
+        let size = self.library.size();
+        for index in (0..size).chain(matches!(self.flying, Some(Flown::Turn(..))).then_some(size + FLYING)) {
+            self.roll_out(self.target(index, refined), scratch);
+            priced.extend(self.price(index, scratch));
+        }
+        sort(priced);
+        let mut begun = 0;
+        for from in 0..priced.len() {
+            let Target::Turn(turn) = self.target(priced[from].index, refined) else { continue };
+            let index = size + FLYING + 1 + refined.len();
+            let Some((turn, cheapest)) = self.refine(turn, index, priced[from].price_m, scratch) else { continue };
+            refined.push(turn);
+            priced.push(cheapest);
+            begun += 1;
+            if begun == REFINED {
+                break;
+            }
+        }
+        sort(priced);
+    }
+
+    /// Pattern search (Hooke and Jeeves 1961) from a manoeuvre to a cheaper one; `None` if there is none nearby.
+    fn refine(&self, from: Turn, index: Index, price_m: f64, scratch: &mut Rollout) -> Option<(Turn, Priced)> {
+        let (mut turn, mut best, mut step) = (from, None, 1.0);
+        let mut cheapest_m = price_m;
+        for _ in 0..ROUNDS {
+            let mut found = None;
+            for change in 0..2 * PARAMETERS {
+                let tried = varied(turn, change, step, self.aim.speed_mps);
+                self.roll_out(Target::Turn(tried), scratch);
+                if let Some(priced) = self.price(index, scratch).filter(|priced| priced.price_m < cheapest_m) {
+                    cheapest_m = priced.price_m;
+                    found = Some((tried, priced));
+                }
+            }
+            match found {
+                Some((tried, _)) => (turn, best) = (tried, found),
+                None => step *= 0.5,
+            }
+        }
+        best
+    }
+
+    /// Asks about candidates, cheapest first, and leaves the first admissible one in `best`.
     pub(crate) fn choose(
         &self,
         admission: &Admission<'_>,
-        priced: &mut Vec<Priced>,
-        [scratch, best]: [&mut Rollout; 2],
+        mut candidates: Candidates<'_>,
         tally: &mut Tally,
     ) -> Course {
-        priced.clear();
-        let candidates = self.library.size() + usize::from(matches!(self.flying, Some(Flown::Turn { .. })));
-        for index in 0..candidates {
-            self.roll_out(index, scratch);
-            priced.extend(self.price(index, scratch));
-        }
-        tally.candidates = candidates as u32;
-        priced.sort_unstable_by(|a, b| a.price_m.total_cmp(&b.price_m).then(a.index.cmp(&b.index)));
+        self.price_all(&mut candidates);
+        let Candidates { priced, refined, best, .. } = candidates;
+        tally.candidates = priced.len() as u32;
         let looked = self.gaze.looks(self.situation);
         let slow = self.situation.velocity.norm() < LOOK_FIRST_MPS && !self.near_goal;
         let mut hidden: Option<(f64, StepBack)> = None;
@@ -198,10 +250,10 @@ impl Prices<'_> {
             if let Some((_, step)) = hidden.filter(|(price_m, _)| *price_m < candidate.price_m) {
                 return Course::StepBack(step);
             }
-            let is_flying = self.is_flying(candidate.index);
-            let threshold = if is_flying { self.config.gamma_high } else { self.config.gamma_low };
+            let threshold =
+                if self.is_flying(candidate.index) { self.config.gamma_high } else { self.config.gamma_low };
             let heading_rad = candidate.heading_rad;
-            self.roll_out(candidate.index, best);
+            self.roll_out(self.target(candidate.index, refined), best);
             let admitted = tally.count(admission.admit(best, threshold));
             // What is known, though not from here, needs no look.
             let looks =
@@ -211,7 +263,8 @@ impl Prices<'_> {
                     return Course::Look(heading_rad);
                 }
             } else if admitted {
-                return if looks { Course::Look(heading_rad) } else { Course::Go(self.flown(candidate.index)) };
+                let go = || Course::Go(self.flown(candidate.index, refined));
+                return if looks { Course::Look(heading_rad) } else { go() };
             }
             let hides = slow && hidden.is_none() && looked < LOOKS && admission.hides(best, threshold, FORESEEN_S);
             if hides && let Some(step) = self.step_back(heading_rad, admission, best) {
@@ -233,5 +286,36 @@ impl Prices<'_> {
             let is_free = admission.admit(best, threshold).is_ok() && admission.knows(best, threshold, f64::INFINITY);
             is_free.then_some(StepBack { to, heading_rad })
         })
+    }
+}
+
+/// What candidates are worked out in, made once.
+pub(crate) struct Candidates<'a> {
+    pub(crate) priced: &'a mut Vec<Priced>,
+    /// Manoeuvres that the library does not hold.
+    pub(crate) refined: &'a mut Vec<Turn>,
+    pub(crate) scratch: &'a mut Rollout,
+    /// Where the one that is chosen is left.
+    pub(crate) best: &'a mut Rollout,
+}
+
+fn sort(priced: &mut [Priced]) {
+    priced.sort_unstable_by(|a, b| a.price_m.total_cmp(&b.price_m).then(a.index.cmp(&b.index)));
+}
+
+/// A manoeuvre with one of its parameters changed, up or down, by a share of the largest change.
+fn varied(turn: Turn, change: usize, step: f64, most_mps: f64) -> Turn {
+    let by = if change.is_multiple_of(2) { step } else { -step };
+    let turned = |velocity: Vector<World>| {
+        let (sin, cos) = (LARGEST_TURN_RAD * by).sin_cos();
+        Vector::new(cos * velocity.x - sin * velocity.y, sin * velocity.x + cos * velocity.y, velocity.z)
+    };
+    let scaled = |velocity: Vector<World>| (velocity * (1.0 + LARGEST_SCALE * by)).clamp_norm(most_mps);
+    match change / 2 {
+        0 => Turn { first: turned(turn.first), ..turn },
+        1 => Turn { then: turned(turn.then), ..turn },
+        2 => Turn { first: scaled(turn.first), ..turn },
+        3 => Turn { then: scaled(turn.then), ..turn },
+        _ => Turn { switch_s: (turn.switch_s + LARGEST_SWITCH_S * by).max(0.0), ..turn },
     }
 }

@@ -6,7 +6,7 @@
 //! library for each of [`SPEEDS`].
 
 use crate::Config;
-use crate::rollout::{Rollout, STEP_S, Sample, Target};
+use crate::rollout::{Rollout, STEP_S, Sample, Target, Turn};
 use crate::route::Timed;
 use ipc_types::{Point, Vector, World};
 use serde::{Deserialize, Serialize};
@@ -127,7 +127,7 @@ impl Manoeuvre {
             let level = (speed * speed - up * up).max(0.0).sqrt();
             Vector::new(level * heading_rad.cos(), level * heading_rad.sin(), up)
         });
-        Target::Turn { first, then, switch_s: SWITCH_S }
+        Target::Turn(Turn { first, then, switch_s: SWITCH_S })
     }
 }
 
@@ -263,7 +263,7 @@ mod tests {
         let from = Sample { position: Point::new(0.0, 0.0, 1.0), velocity: Vector::ZERO };
         let aim = Aim { from, goal: Point::ZERO, speed_mps: 4.0, height_m: 2.0, heading_rad: 0.0, ways: [&[], &[]] };
         for index in 15..library.size() {
-            let Target::Turn { first, then, .. } = library.target(index, &aim) else { panic!("no manoeuvre") };
+            let Target::Turn(Turn { first, then, .. }) = library.target(index, &aim) else { panic!("no manoeuvre") };
             assert!(first.z > 0.0 && then.z > 0.0 && first.norm() < 4.001, "{first:?} {then:?}");
         }
     }

@@ -2,13 +2,13 @@
 
 use crate::Config;
 use crate::admission::{Admission, Tally};
-use crate::choice::{Course, Flown, Priced, Prices, STEP_MPS};
+use crate::choice::{Candidates, Course, Flown, Priced, Prices, REFINED, STEP_MPS};
 use crate::draft::Draft;
 use crate::field::{Ask, Field};
 use crate::gaze::{Gaze, StepBack};
 use crate::guide::Guide;
 use crate::library::{Aim, Library};
-use crate::rollout::{Rollout, STEP_S, Sample, Target};
+use crate::rollout::{Rollout, STEP_S, Sample, Target, Turn};
 use crate::route::Timing;
 use crate::situation::Situation;
 use crate::stuck::{Stage, Stuck};
@@ -54,6 +54,7 @@ pub struct Planner {
     gaze: Gaze,
     library: Library,
     priced: Vec<Priced>,
+    refined: Vec<Turn>,
     field: Field,
     /// The field's way, and its timing.
     way: Vec<Point<World>>,
@@ -96,7 +97,8 @@ impl Planner {
             flying: None,
             stuck: Stuck::new(),
             gaze: Gaze::new(),
-            priced: Vec::with_capacity(library.size() + 1),
+            priced: Vec::with_capacity(library.size() + 1 + REFINED),
+            refined: Vec::with_capacity(REFINED),
             library,
             field: Field::new(config.field_reach_m),
             way: Vec::with_capacity(256),
@@ -264,8 +266,9 @@ impl Planner {
         };
         let admission = Admission::new(view, &self.fence, config);
         let mut tally = Tally::default();
-        let rollouts = [&mut self.scratch, &mut self.draft.rollout];
-        let course = prices.choose(&admission, &mut self.priced, rollouts, &mut tally);
+        let (priced, refined) = (&mut self.priced, &mut self.refined);
+        let candidates = Candidates { priced, refined, scratch: &mut self.scratch, best: &mut self.draft.rollout };
+        let course = prices.choose(&admission, candidates, &mut tally);
         let flies = if let Course::Go(flown) = course { Some(flown) } else { None };
         if flies.is_some() && flies != self.flying {
             self.replans += 1;

@@ -23,18 +23,22 @@ pub(crate) struct Sample {
     pub(crate) velocity: Vector<World>,
 }
 
+/// Two velocities, one after the other.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Turn {
+    /// At first.
+    pub(crate) first: Vector<World>,
+    /// From `switch_s` on.
+    pub(crate) then: Vector<World>,
+    /// Since the start, s.
+    pub(crate) switch_s: f64,
+}
+
 /// What the velocity follows.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Target<'a> {
     /// One velocity, and after a while another.
-    Turn {
-        /// At first.
-        first: Vector<World>,
-        /// From `switch_s` on.
-        then: Vector<World>,
-        /// Since the start, s.
-        switch_s: f64,
-    },
+    Turn(Turn),
     /// A place to come to rest at, approached no faster than this.
     Place(Point<World>, f64),
     /// A timed path, no faster than this.
@@ -62,8 +66,8 @@ impl Rollout {
         let mut passed = 0;
         for step in 0..steps.min(MOST_SAMPLES) {
             let wanted = match target {
-                Target::Turn { first, switch_s, .. } if (step as f64) * STEP_S < switch_s => first,
-                Target::Turn { then, .. } => then,
+                Target::Turn(turn) if (step as f64) * STEP_S < turn.switch_s => turn.first,
+                Target::Turn(turn) => turn.then,
                 Target::Place(place, speed) => approach(place - sample.position, speed, config),
                 Target::Along(path, speed) => follow(path, &mut passed, sample.position, speed),
             };
@@ -167,7 +171,7 @@ mod tests {
     fn every_rollout_is_feasible_and_ends_at_rest() {
         let config = config();
         let mut rollout = Rollout::new();
-        let turn = |first, then| Target::Turn { first, then, switch_s: 0.8 };
+        let turn = |first, then| Target::Turn(Turn { first, then, switch_s: 0.8 });
         let targets = [
             turn(Vector::new(-2.0, 3.0, 1.0), Vector::new(3.0, 2.0, 0.0)),
             Target::Place(Point::new(1.0, 0.5, 2.0), 4.0),
