@@ -95,6 +95,8 @@ pub(crate) struct Prices<'a> {
     pub(crate) gaze: &'a Gaze,
     pub(crate) flying: Option<Flown>,
     pub(crate) near_goal: bool,
+    /// Least distance to commit to, m.
+    pub(crate) least_m: f64,
     pub(crate) half_view_rad: f64,
 }
 
@@ -131,11 +133,11 @@ impl Prices<'_> {
         rollout.fill(self.aim.from, target, self.config.horizon_s, self.config);
     }
 
-    /// Prices a candidate, rolled out; `None` where it hardly moves.
+    /// Prices a candidate, rolled out; `None` where it hardly moves, or creeps.
     fn price(&self, index: Index, rollout: &Rollout) -> Option<Priced> {
         let (going, end) = (&rollout.samples[..rollout.braking], rollout.end_of_going());
         let from = self.aim.from.position;
-        if end.position.distance(from) < WORTHWHILE_M && !self.near_goal {
+        if !self.near_goal && (end.position.distance(from) < WORTHWHILE_M || self.committed_m(going) < self.least_m) {
             return None;
         }
         let hysteresis_m = if self.is_flying(index) { self.config.hysteresis_m } else { 0.0 };
@@ -146,7 +148,8 @@ impl Prices<'_> {
         let turns = slow && !is_seen(heading_rad, self.situation.yaw_rad, self.half_view_rad);
         // Every look from here makes turning away dearer, by the square of their number: it must be done with looking.
         let looks = if turns { 1 + self.gaze.looks(self.situation) } else { 0 };
-        let look_m = self.config.look_price_m * (looks * looks) as f64 + if turns { self.waiting_m(heading_rad) } else { 0.0 };
+        let look_m =
+            self.config.look_price_m * (looks * looks) as f64 + if turns { self.waiting_m(heading_rad) } else { 0.0 };
         // Also where it comes to rest: what shoots past the goal is no nearer to it.
         let rest = rollout.samples.last().map_or(end.position, |rest| rest.position);
         let price_m = self.to_goal_m(end.position).max(self.to_goal_m(rest))
@@ -157,6 +160,14 @@ impl Prices<'_> {
             + look_m
             - hysteresis_m;
         Some(Priced { index, price_m, heading_rad, turns })
+    }
+
+    /// How far from its start a candidate gets by what it commits to, the stop included, m: less than the slowest manoeuvre
+    /// does is creeping, which the swept volume alone would admit again and again.
+    fn committed_m(&self, going: &[Sample]) -> f64 {
+        let last = going[going.len().min((self.config.commit_s / STEP_S).round() as usize + 1) - 1];
+        let stop = last.velocity * (last.velocity.norm() / (2.0 * self.config.braking_mps2));
+        (last.position + stop).distance(going[0].position)
     }
 
     /// Distance that would be flown, at half of the cruise speed, while the camera turns to a heading, m.

@@ -81,6 +81,8 @@ const UNDER_WAY_MPS: f64 = 1.0;
 const WAY_M: f64 = 40.0;
 /// Nearer to the goal than this its height is the one to keep, m.
 const DESCENT_M: f64 = 5.0;
+/// Share of what the slowest manoeuvre commits to that every plan must: above that to which the swept volume is limited.
+const LEAST_SHARE: f64 = 0.95;
 /// Later than this a refusal ends it, s: before, the map may still change its mind.
 const REFUSED_S: f64 = 3.0;
 
@@ -262,6 +264,7 @@ impl Planner {
             gaze: &self.gaze,
             flying: self.flying,
             near_goal,
+            least_m: LEAST_SHARE * config.least_commitment_m(situation.cruise_mps),
             half_view_rad: view.half_view_rad(),
         };
         let admission = Admission::new(view, &self.fence, config);
