@@ -202,7 +202,7 @@ impl Admission<'_> {
 
 /// The first samples of a roll-out, for so long.
 fn first(rollout: &Rollout, seconds: f64) -> &[Sample] {
-    &rollout.samples[..rollout.samples.len().min((seconds / STEP_S) as usize + 1)]
+    &rollout.samples[..rollout.samples.len().min(((seconds / STEP_S) as usize).saturating_add(1))]
 }
 
 #[cfg(test)]

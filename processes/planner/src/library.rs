@@ -227,7 +227,7 @@ mod tests {
             assert!(!targets.contains(&target), "{target:?} twice");
             targets.push(target);
         }
-        assert_eq!(targets.len(), 15 + config().library.size as usize);
+        assert_eq!(targets.len(), 12 + config().library.size as usize);
         assert!(matches!(targets[..3], [Target::Place(..), Target::Along(..), Target::Along(..)]));
     }
 
@@ -262,7 +262,7 @@ mod tests {
         let library = Library::new(&config, 4.0);
         let from = Sample { position: Point::new(0.0, 0.0, 1.0), velocity: Vector::ZERO };
         let aim = Aim { from, goal: Point::ZERO, speed_mps: 4.0, height_m: 2.0, heading_rad: 0.0, ways: [&[], &[]] };
-        for index in 15..library.size() {
+        for index in 12..library.size() {
             let Target::Turn(Turn { first, then, .. }) = library.target(index, &aim) else { panic!("no manoeuvre") };
             assert!(first.z > 0.0 && then.z > 0.0 && first.norm() < 4.001, "{first:?} {then:?}");
         }
