@@ -1,5 +1,6 @@
 //! The table of a campaign: a row for every flight, in a file that grows while flying, and what groups of rows come to.
 
+use crate::ablation::Part;
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{Beta, ContinuousCDF};
 use std::collections::{BTreeMap, HashMap};
@@ -20,8 +21,12 @@ pub(crate) struct Case {
     pub(crate) world: String,
     /// Highest speed asked for, m/s.
     pub(crate) cruise_mps: f64,
+    /// Trees per square metre of the world.
+    pub(crate) trees_per_m2: f64,
     /// Whether the planner looks at the map.
     pub(crate) avoidance: bool,
+    /// The part that is done without.
+    pub(crate) without: Option<Part>,
     /// Whether camera and matcher are modelled instead of rendered.
     pub(crate) noise_camera: bool,
     /// Seed of the world and of all noise.
@@ -31,17 +36,20 @@ pub(crate) struct Case {
 impl Case {
     /// As a text that no other case has.
     pub(crate) fn key(&self) -> String {
-        let Self { config, world, cruise_mps, avoidance, noise_camera, seed } = self;
-        format!("{config}\n{world}\n{cruise_mps}\n{avoidance}\n{noise_camera}\n{seed}")
+        let Self { config, world, cruise_mps, trees_per_m2, avoidance, without, noise_camera, seed } = self;
+        let without = without.map_or("", Part::name);
+        format!("{config}\n{world}\n{cruise_mps}\n{trees_per_m2}\n{avoidance}\n{without}\n{noise_camera}\n{seed}")
     }
 }
 
 /// The table's columns: the fields of [`Row`], in order.
-const COLUMNS: [&str; 24] = [
+const COLUMNS: [&str; 26] = [
     "config",
     "world",
     "cruise_mps",
+    "trees_per_m2",
     "avoidance",
+    "without",
     "noise_camera",
     "seed",
     "outcome",
@@ -67,29 +75,31 @@ const COLUMNS: [&str; 24] = [
 /// One flight.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Row {
-    config: String,
-    world: String,
-    cruise_mps: f64,
-    avoidance: bool,
-    noise_camera: bool,
-    seed: u64,
+    pub(crate) config: String,
+    pub(crate) world: String,
+    pub(crate) cruise_mps: f64,
+    pub(crate) trees_per_m2: f64,
+    pub(crate) avoidance: bool,
+    pub(crate) without: Option<Part>,
+    pub(crate) noise_camera: bool,
+    pub(crate) seed: u64,
     pub(crate) outcome: Outcome,
-    flight_time_s: f64,
-    straight_line_m: f64,
-    path_length_m: f64,
-    distance_to_goal_m: f64,
-    mean_speed_mps: f64,
-    max_speed_mps: f64,
+    pub(crate) flight_time_s: f64,
+    pub(crate) straight_line_m: f64,
+    pub(crate) path_length_m: f64,
+    pub(crate) distance_to_goal_m: f64,
+    pub(crate) mean_speed_mps: f64,
+    pub(crate) max_speed_mps: f64,
     /// From the hull to an obstacle; empty when it never came within 5 m.
-    min_clearance_m: Option<f64>,
-    replans: u64,
-    plans: u64,
-    planning_p50_ms: f64,
-    planning_p99_ms: f64,
-    planning_max_ms: f64,
-    frames: u64,
-    frames_without_map: u64,
-    log_hash: String,
+    pub(crate) min_clearance_m: Option<f64>,
+    pub(crate) replans: u64,
+    pub(crate) plans: u64,
+    pub(crate) planning_p50_ms: f64,
+    pub(crate) planning_p99_ms: f64,
+    pub(crate) planning_max_ms: f64,
+    pub(crate) frames: u64,
+    pub(crate) frames_without_map: u64,
+    pub(crate) log_hash: String,
     /// Hash of the whole configuration; the version that flew it, and its executable's hash.
     configuration: String,
     version: String,
@@ -97,12 +107,14 @@ pub(crate) struct Row {
 
 impl Row {
     pub(crate) fn new(case: &Case, made_by: &MadeBy, summary: &Summary, planning: LatencySummary) -> Self {
-        let Case { config, world, cruise_mps, avoidance, noise_camera, seed } = case.clone();
+        let Case { config, world, cruise_mps, trees_per_m2, avoidance, without, noise_camera, seed } = case.clone();
         Self {
             config,
             world,
             cruise_mps,
+            trees_per_m2,
             avoidance,
+            without,
             noise_camera,
             seed,
             outcome: summary.outcome,
@@ -126,9 +138,16 @@ impl Row {
         }
     }
 
+    /// What flew: the configuration, and without what.
+    pub(crate) fn flight(&self) -> String {
+        let blind = if self.avoidance { "" } else { " (blind)" };
+        let without = self.without.map_or(String::new(), |part| format!(" without {}", part.name()));
+        format!("{}{blind}{without}", self.config)
+    }
+
     pub(crate) fn case(&self) -> Case {
-        let Self { config, world, cruise_mps, avoidance, noise_camera, seed, .. } = self.clone();
-        Case { config, world, cruise_mps, avoidance, noise_camera, seed }
+        let Self { config, world, cruise_mps, trees_per_m2, avoidance, without, noise_camera, seed, .. } = self.clone();
+        Case { config, world, cruise_mps, trees_per_m2, avoidance, without, noise_camera, seed }
     }
 }
 
@@ -253,6 +272,11 @@ pub(crate) fn upper_bound(found: usize, of: usize) -> f64 {
     Beta::new(found as f64 + 1.0, (of - found) as f64).map_or(1.0, |beta| beta.inverse_cdf(CONFIDENCE))
 }
 
+/// What a share of which `found` of `of` were seen may be, from below and from above (Clopper and Pearson, 95 %).
+pub(crate) fn success_bounds(found: usize, of: usize) -> [f64; 2] {
+    [1.0 - upper_bound(of - found, of), upper_bound(found, of)]
+}
+
 /// Value below which a share of the values lies; 0 of none.
 fn quantile(mut values: Vec<f64>, share: f64) -> f64 {
     values.sort_by(f64::total_cmp);
@@ -261,10 +285,11 @@ fn quantile(mut values: Vec<f64>, share: f64) -> f64 {
 }
 
 /// Headings of the digest.
-const HEADINGS: [&str; 13] = [
+const HEADINGS: [&str; 14] = [
     "flight",
     "world",
     "m/s",
+    "trees/m²",
     "flights",
     "arrived",
     "collided",
@@ -287,12 +312,13 @@ pub(crate) fn digest(rows: &[&Row]) -> String {
     let mut groups: BTreeMap<_, Vec<&Row>> = BTreeMap::new();
     for &row in rows {
         // Positive floats order as their bits do.
-        let key = (&row.config, &row.world, row.cruise_mps.to_bits(), row.avoidance);
+        let numbers = [row.cruise_mps, row.trees_per_m2].map(f64::to_bits);
+        let key = (&row.config, &row.world, numbers, row.avoidance, row.without);
         groups.entry(key).or_default().push(row);
     }
-    let lines: Vec<[String; 13]> = groups.values().map(|rows| line(rows)).collect();
+    let lines: Vec<[String; 14]> = groups.values().map(|rows| line(rows)).collect();
     let headings = HEADINGS.map(str::to_owned);
-    let all: Vec<&[String; 13]> = std::iter::once(&headings).chain(&lines).collect();
+    let all: Vec<&[String; 14]> = std::iter::once(&headings).chain(&lines).collect();
     let wide = |column: usize| all.iter().map(|line| line[column].chars().count()).max().unwrap_or_default();
     let mut text = String::new();
     for line in &all {
@@ -304,7 +330,7 @@ pub(crate) fn digest(rows: &[&Row]) -> String {
 }
 
 /// The digest of flights that differ in their seeds alone.
-fn line(rows: &[&Row]) -> [String; 13] {
+fn line(rows: &[&Row]) -> [String; 14] {
     let count = |is: fn(Outcome) -> bool| rows.iter().filter(|row| is(row.outcome)).count();
     let arrived = count(|outcome| outcome == Outcome::Arrived);
     let collided = count(|outcome| outcome == Outcome::Collided);
@@ -320,9 +346,10 @@ fn line(rows: &[&Row]) -> [String; 13] {
     };
     let Some(first) = rows.first() else { return Default::default() };
     [
-        first.config.clone() + if first.avoidance { "" } else { " (blind)" },
+        first.flight(),
         first.world.clone(),
         format!("{}", first.cruise_mps),
+        format!("{}", first.trees_per_m2),
         format!("{}", rows.len()),
         format!("{:.1} %", 100.0 * arrived as f64 / rows.len() as f64),
         format!("{collided} ({:.1} %)", 100.0 * upper_bound(collided, rows.len())),
@@ -359,7 +386,9 @@ mod tests {
             config: "default".to_owned(),
             world: "a, world".to_owned(),
             cruise_mps: 0.1 + 0.2,
+            trees_per_m2: 0.05,
             avoidance: true,
+            without: (seed > 1).then_some(Part::Gaze),
             noise_camera: false,
             seed,
             outcome,
@@ -416,7 +445,8 @@ mod tests {
 
     #[test]
     fn the_digest_counts_by_group_and_lines_up() {
-        let rows = [row(1, Outcome::Arrived), row(2, Outcome::Collided), row(3, Outcome::TimedOut)];
+        let rows = [Outcome::Arrived, Outcome::Collided, Outcome::TimedOut]
+            .map(|outcome| Row { without: None, ..row(if outcome == Outcome::Arrived { 1 } else { 2 }, outcome) });
         let other = Row { world: "elsewhere".to_owned(), ..row(1, Outcome::GaveUp) };
         let text = digest(&[&rows[0], &rows[1], &rows[2], &other]);
         let lines: Vec<&str> = text.lines().collect();

@@ -317,6 +317,11 @@ impl FlightConfig {
         }
     }
 
+    /// Speed from which the vehicle can just stop, without delay, within what its sensor is good for: √(2·a·R), m/s.
+    pub fn braking_limit_mps(&self) -> f64 {
+        (2.0 * self.vehicle.planner.braking_mps2 * self.sensing_range_m()).sqrt()
+    }
+
     fn check_stopping(&self, bounds: &mut Bounds) {
         let (vehicle, speed_mps) = (&self.vehicle, self.mission.cruise_speed_mps);
         let stopping_m = vehicle.planner.stopping_distance_m(speed_mps) + f64::from(vehicle.expansion.radius_m);

@@ -3,7 +3,9 @@
 //! Flights differ in configuration, world, speed and seed. A campaign that was interrupted, or is to be
 //! widened, goes on where it was: what the table holds already is not flown again.
 
+use crate::ablation::Part;
 use crate::campaign::{Case, MadeBy, Row, Table, digest};
+use crate::campaign_plot;
 use crate::config::FlightConfig;
 use crate::graph::Flight;
 use crate::run_files::VERSION;
@@ -36,6 +38,9 @@ pub(crate) struct EvaluateArguments {
     /// Highest speeds, m/s; each flight file's own if not given. Repeat, or separate by commas.
     #[arg(long, value_name = "M/S", value_delimiter = ',')]
     speed: Vec<f64>,
+    /// Densities of the forest, trees per m²; each world's own if not given. Repeat, or separate by commas.
+    #[arg(long, value_name = "PER_M2", value_delimiter = ',', conflicts_with = "trials")]
+    trees: Vec<f64>,
     /// Seeds, first and last: 1..100 are a hundred. Of worlds and of all noise.
     #[arg(long, value_name = "FIRST..LAST", default_value = "1..10", value_parser = parse_seeds)]
     seeds: RangeInclusive<u64>,
@@ -48,6 +53,12 @@ pub(crate) struct EvaluateArguments {
     /// Fly without looking: shows what avoidance is worth.
     #[arg(long)]
     no_avoidance: bool,
+    /// Fly without a part, too: shows what it is worth. Repeat, or separate by commas.
+    #[arg(long, value_name = "PART", value_delimiter = ',')]
+    without: Vec<Part>,
+    /// Draw the share that arrives against speed, or density where speeds do not differ (SVG).
+    #[arg(long, value_name = "FILE.svg")]
+    plot: Option<PathBuf>,
     /// Model what the stereo camera and its matcher get wrong instead of rendering and matching pairs: faster.
     #[arg(long)]
     noise_camera: bool,
@@ -67,6 +78,14 @@ fn parse_seeds(text: &str) -> Result<RangeInclusive<u64>, String> {
     let (first, last) = text.split_once("..").unwrap_or((text, text));
     let seeds = number(first)?..=number(last)?;
     if seeds.is_empty() { Err(expected()) } else { Ok(seeds) }
+}
+
+/// What of a configuration a campaign varies; none: as it is.
+#[derive(Clone, Copy, Debug)]
+struct Varied {
+    speed: Option<f64>,
+    trees: Option<f64>,
+    without: Option<Part>,
 }
 
 /// A flight to be flown: a combination with a seed.
@@ -90,9 +109,13 @@ impl EvaluateArguments {
         for path in optional(self.config.iter().map(PathBuf::as_path)) {
             for world in optional(self.world.iter().map(String::as_str)) {
                 for speed in optional(self.speed.iter().copied()) {
-                    let (case, config) = self.template(path, world, speed)?;
-                    if templates.iter().all(|(other, _)| *other != case) {
-                        templates.push((case, config));
+                    for trees in optional(self.trees.iter().copied()) {
+                        for without in std::iter::once(None).chain(self.without.iter().copied().map(Some)) {
+                            let (case, config) = self.template(path, world, Varied { speed, trees, without })?;
+                            if templates.iter().all(|(other, _)| *other != case) {
+                                templates.push((case, config));
+                            }
+                        }
                     }
                 }
             }
@@ -153,20 +176,26 @@ impl EvaluateArguments {
         &self,
         path: Option<&Path>,
         world: Option<&str>,
-        speed: Option<f64>,
+        Varied { speed, trees, without }: Varied,
     ) -> Result<(Case, FlightConfig), Box<dyn Error>> {
         let mut config = FlightConfig::load_for_simulator(path, world)?;
         config.avoidance = !self.no_avoidance;
         config.noise_camera = self.noise_camera;
         config.trouble = self.trouble.trouble();
         config.mission.cruise_speed_mps = speed.unwrap_or(config.mission.cruise_speed_mps);
+        config.world.forest.trees_per_m2 = trees.unwrap_or(config.world.forest.trees_per_m2);
+        if let Some(part) = without {
+            part.remove(&mut config);
+        }
         config.check()?;
         let name = |path: &Path| path.display().to_string();
         let case = Case {
             config: path.map_or("default".to_owned(), name),
             world: world.unwrap_or("default").to_owned(),
             cruise_mps: config.mission.cruise_speed_mps,
+            trees_per_m2: config.world.forest.trees_per_m2,
             avoidance: config.avoidance,
+            without,
             noise_camera: config.noise_camera,
             seed: 0,
         };
@@ -190,6 +219,8 @@ fn version() -> Result<String, Box<dyn Error>> {
 /// Flies a campaign; the exit code says whether all of it was flown.
 pub(crate) fn evaluate(arguments: &EvaluateArguments) -> Result<ExitCode, Box<dyn Error>> {
     let mut todo = arguments.flights(&version()?)?;
+    let limits = todo.iter().map(|flight| flight.config.braking_limit_mps());
+    let braking_limit_mps = limits.fold(f64::INFINITY, f64::min);
     let cases: HashSet<String> = todo.iter().map(|flight| flight.case.key()).collect();
     let mut table = Table::open(&arguments.out)?;
     if table.torn_bytes > 0 {
@@ -210,6 +241,12 @@ pub(crate) fn evaluate(arguments: &EvaluateArguments) -> Result<ExitCode, Box<dy
     let rows: Vec<&Row> = table.rows.iter().filter(|row| cases.contains(&row.case().key())).collect();
     print!("{}", digest(&rows));
     println!("table                  {}", arguments.out.display());
+    if let Some(path) = &arguments.plot
+        && !rows.is_empty()
+    {
+        campaign_plot::plot(path, &rows, braking_limit_mps)?;
+        println!("plot                   {}", path.display());
+    }
     if rows.len() < cases.len() {
         eprintln!("sparrowhawk: {} of {} flights flown; the same command goes on", rows.len(), cases.len());
         return Ok(ExitCode::FAILURE);

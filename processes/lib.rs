@@ -13,8 +13,10 @@
 //! [`build`](graph) turns a [`config::FlightConfig`] into processes; [`child`] runs one of them over iceoryx2,
 //! [`lockstep`](graph::Flight) all of them in one thread. [`cli`] is the command line.
 
+mod ablation;
 mod calibrate;
 mod campaign;
+mod campaign_plot;
 pub mod child;
 pub mod cli;
 pub mod config;

@@ -129,6 +129,25 @@ impl Admission<'_> {
             .is_ok_and(|escape| self.walk(first(rollout, seconds), 0, threshold, escape).is_ok())
     }
 
+    /// How much of a trajectory is occupied, or outside of the fence, and how much is unknown, m.
+    pub(crate) fn risk(&self, rollout: &Rollout, threshold: f32) -> (f64, f64) {
+        let (mut occupied_m, mut unknown_m) = (0.0, 0.0);
+        for pair in rollout.samples.windows(2) {
+            let length_m = pair[0].position.distance(pair[1].position);
+            let pieces = (length_m / self.config.sample_m).ceil().max(1.0) as usize;
+            for piece in 1..=pieces {
+                let place = pair[0].position.lerp(pair[1].position, piece as f64 / pieces as f64);
+                match self.view.occupancy(place, threshold) {
+                    _ if !self.fence.contains(place) => occupied_m += length_m / pieces as f64,
+                    Occupancy::Free => {}
+                    Occupancy::Occupied => occupied_m += length_m / pieces as f64,
+                    Occupancy::Unknown(_) => unknown_m += length_m / pieces as f64,
+                }
+            }
+        }
+        (occupied_m, unknown_m)
+    }
+
     /// Asks along samples, of which the first `known` steps must be known free.
     fn walk(&self, samples: &[Sample], known: usize, threshold: f32, escape: Escape) -> Result<(), Refusal> {
         for (index, pair) in samples.windows(2).enumerate() {

@@ -144,7 +144,7 @@ impl Prices<'_> {
         let sets_out_at = going[going.len().min((SETS_OUT_S / STEP_S) as usize + 1) - 1].position;
         let sets_out = sets_out_at - from;
         let heading_rad = sets_out.y.atan2(sets_out.x);
-        let slow = self.situation.velocity.norm() < LOOK_FIRST_MPS && !self.near_goal;
+        let slow = self.is_slow();
         let turns = slow && !is_seen(heading_rad, self.situation.yaw_rad, self.half_view_rad);
         // Every look from here makes turning away dearer, by the square of their number: it must be done with looking.
         let looks = if turns { 1 + self.gaze.looks(self.situation) } else { 0 };
@@ -160,6 +160,11 @@ impl Prices<'_> {
             + look_m
             - hysteresis_m;
         Some(Priced { index, price_m, heading_rad, turns })
+    }
+
+    /// Whether the vehicle is slow enough to look before it sets out.
+    fn is_slow(&self) -> bool {
+        self.config.gaze_follows_flight && self.situation.velocity.norm() < LOOK_FIRST_MPS && !self.near_goal
     }
 
     /// How far from its start a candidate gets by what it commits to, the stop included, m: less than the slowest manoeuvre
@@ -198,7 +203,7 @@ impl Prices<'_> {
     }
 
     /// Prices all candidates, and refines the cheapest manoeuvres. Leaves them in the order of their prices.
-    fn price_all(&self, Candidates { priced, refined, scratch, .. }: &mut Candidates<'_>) {
+    pub(crate) fn price_all(&self, priced: &mut Vec<Priced>, refined: &mut Vec<Turn>, scratch: &mut Rollout) {
         priced.clear();
         refined.clear();
         let size = self.library.size();
@@ -248,14 +253,13 @@ impl Prices<'_> {
     pub(crate) fn choose(
         &self,
         admission: &Admission<'_>,
-        mut candidates: Candidates<'_>,
+        Candidates { priced, refined, scratch, best }: Candidates<'_>,
         tally: &mut Tally,
     ) -> Course {
-        self.price_all(&mut candidates);
-        let Candidates { priced, refined, best, .. } = candidates;
+        self.price_all(priced, refined, scratch);
         tally.candidates = priced.len() as u32;
         let looked = self.gaze.looks(self.situation);
-        let slow = self.situation.velocity.norm() < LOOK_FIRST_MPS && !self.near_goal;
+        let slow = self.is_slow();
         let mut hidden: Option<(f64, StepBack)> = None;
         for candidate in priced.iter() {
             if let Some((_, step)) = hidden.filter(|(price_m, _)| *price_m < candidate.price_m) {

@@ -27,6 +27,7 @@ pub(crate) fn config() -> Config {
         escape_m: 0.3,
         take_off_mps: 1.2,
         yaw_rate_degps: 90.0,
+        gaze_follows_flight: true,
         unknown_price: 0.3,
         clearance_price: 1.0,
         turning_price: 1.0,

@@ -14,7 +14,9 @@
 
 mod admission;
 mod choice;
+mod deliberation;
 mod draft;
+mod emergency;
 mod field;
 #[cfg(test)]
 mod fixtures;
@@ -77,6 +79,8 @@ pub struct Config {
     pub take_off_mps: f64,
     /// Turn rate of the planned heading, degrees/s.
     pub yaw_rate_degps: f64,
+    /// Whether the camera looks where the vehicle flies, and around before it does; else always towards the goal.
+    pub gaze_follows_flight: bool,
     /// Price of a metre of the candidate that is unknown, m.
     pub unknown_price: f64,
     /// Price of a metre right beside something occupied, m.

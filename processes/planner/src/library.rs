@@ -190,7 +190,7 @@ fn draw(index: usize, config: &LibraryConfig) -> Manoeuvre {
     // Small turns more often than large ones.
     let turn = |value: f64, most_rad: f64| (2.0 * value - 1.0) * (2.0 * value - 1.0).abs() * most_rad;
     let share = |value: f64| config.slowest_share + (1.0 - config.slowest_share) * value;
-    let climbs = config.climb_deg > 0.0 && index % CLIMBING == 0;
+    let climbs = config.climb_deg > 0.0 && index.is_multiple_of(CLIMBING);
     Manoeuvre {
         turns_rad: [turn(even(2), config.turn_deg.to_radians()), turn(even(3), SECOND_TURN_RAD)],
         shares: [share(even(5)), share(even(7))],

@@ -2,14 +2,12 @@
 
 use crate::Config;
 use crate::admission::{Admission, Tally};
-use crate::choice::{Candidates, Course, Flown, Priced, Prices, REFINED, STEP_MPS};
+use crate::choice::{Course, Flown, STEP_MPS};
+use crate::deliberation::{Asked, Deliberation, NEAR_GOAL_M};
 use crate::draft::Draft;
-use crate::field::{Ask, Field};
+use crate::emergency;
 use crate::gaze::{Gaze, StepBack};
-use crate::guide::Guide;
-use crate::library::{Aim, Library};
-use crate::rollout::{Rollout, STEP_S, Sample, Target, Turn};
-use crate::route::Timing;
+use crate::rollout::{Rollout, Sample, Target};
 use crate::situation::Situation;
 use crate::stuck::{Stage, Stuck};
 use ipc_types::limits::Fence;
@@ -52,44 +50,28 @@ pub struct Planner {
     flying: Option<Flown>,
     stuck: Stuck,
     gaze: Gaze,
-    library: Library,
-    priced: Vec<Priced>,
-    refined: Vec<Turn>,
-    field: Field,
-    /// The field's way, and its timing.
-    way: Vec<Point<World>>,
-    timing: Timing,
-    guide: Guide,
+    deliberation: Deliberation,
     replans: u64,
-    scratch: Rollout,
     draft: Draft,
+    spare: Rollout,
 }
 
 /// Distance to the goal at which it counts as reached, m. The rest is closed slowly, as far as it is free.
 const ARRIVED_M: f64 = 0.7;
-/// Distance at which a vehicle that had arrived sets out again, m.
-const LEFT_M: f64 = 1.0;
 /// Speed of closing the last bit of the way, m/s.
 const SETTLE_MPS: f64 = 0.6;
 /// Speed of backing out, m/s.
 const BACK_OUT_MPS: f64 = 1.0;
 /// Longest time that backing out may take, s.
 const BACK_OUT_S: f64 = 20.0;
-/// Faster than this, turns are relative to where the vehicle flies, m/s, else to where the way to the goal leads.
-const UNDER_WAY_MPS: f64 = 1.0;
-/// So much of the field's way is flown along, m: more than any candidate does.
-const WAY_M: f64 = 40.0;
-/// Nearer to the goal than this its height is the one to keep, m.
-const DESCENT_M: f64 = 5.0;
-/// Share of what the slowest manoeuvre commits to that every plan must: above that to which the swept volume is limited.
-const LEAST_SHARE: f64 = 0.95;
+/// Faster than this the way to stop is chosen, m/s; slower it hardly matters.
+const BEST_STOP_MPS: f64 = 0.5;
 /// Later than this a refusal ends it, s: before, the map may still change its mind.
 const REFUSED_S: f64 = 3.0;
 
 impl Planner {
     /// For a vehicle on the ground that is to fly at a cruise speed.
     pub fn new(config: Config, fence: Fence, take_off: TakeOff, cruise_mps: f64) -> Self {
-        let library = Library::new(&config, cruise_mps);
         Self {
             fence,
             take_off,
@@ -99,16 +81,10 @@ impl Planner {
             flying: None,
             stuck: Stuck::new(),
             gaze: Gaze::new(),
-            priced: Vec::with_capacity(library.size() + 1 + REFINED),
-            refined: Vec::with_capacity(REFINED),
-            library,
-            field: Field::new(config.field_reach_m),
-            way: Vec::with_capacity(256),
-            timing: Timing::default(),
-            guide: Guide::new(&config, fence),
+            deliberation: Deliberation::new(&config, fence, cruise_mps),
             replans: 0,
-            scratch: Rollout::new(),
             draft: Draft::new(),
+            spare: Rollout::new(),
             config,
         }
     }
@@ -118,6 +94,15 @@ impl Planner {
         self.replans
     }
 
+    /// Prices all candidates by what the map showed at the last plan, and no more; returns how many. For measuring.
+    pub fn price_candidates(&mut self, situation: &Situation, view: &View) -> usize {
+        let (height_m, half_view_rad) = (self.top().z, view.half_view_rad());
+        let from = Sample { position: situation.position, velocity: situation.velocity };
+        let Self { config, deliberation, stuck, gaze, flying, .. } = self;
+        let (start, flying) = (situation.now, *flying);
+        deliberation.price(&Asked { config, situation, start, from, height_m, stuck, gaze, flying, half_view_rad })
+    }
+
     /// The points of the last plan.
     pub fn points(&self) -> &[TrajectoryPoint] {
         &self.draft.points
@@ -125,7 +110,7 @@ impl Planner {
 
     /// The way to the goal that guides it, from the vehicle on; empty without one.
     pub fn way(&self) -> &[Point<World>] {
-        self.guide.path()
+        self.deliberation.path()
     }
 
     /// Plans from a situation and a map.
@@ -135,7 +120,7 @@ impl Planner {
             self.goal = Some(situation.goal);
             self.stuck.reset();
             self.gaze.reset();
-            self.guide.reset();
+            self.deliberation.reset();
             // The library's candidates are named relative to the goal.
             self.flying = None;
             self.arrived = false;
@@ -157,11 +142,11 @@ impl Planner {
         if !self.airborne {
             let climb = Target::Place(self.top(), self.config.take_off_mps);
             self.draft.rollout.fill(from, climb, 3.0, &self.config);
-            self.write_points(situation.yaw_rad, |_| goal_heading(situation));
+            self.write_points(situation.yaw_rad, |_| situation.goal_heading_rad());
             return plan(PlanMode::TakeOff);
         }
         let to_goal_m = situation.position.distance(situation.goal);
-        self.arrived = to_goal_m < if self.arrived { LEFT_M } else { ARRIVED_M };
+        self.arrived = to_goal_m < if self.arrived { NEAR_GOAL_M } else { ARRIVED_M };
         if let Stage::BackingOut { since } = self.stuck.stage {
             return Plan { mode: self.back_out(situation, from, since, view), ..plan(PlanMode::BackOut) };
         }
@@ -208,7 +193,10 @@ impl Planner {
             }
             Course::Go(_) => self.stuck.moving(),
         }
-        self.write_points(situation.yaw_rad, |velocity| travel_heading(velocity, situation));
+        let follows = self.config.gaze_follows_flight;
+        let heading =
+            |velocity| if follows { travel_heading(velocity, situation) } else { situation.goal_heading_rad() };
+        self.write_points(situation.yaw_rad, heading);
         Plan { tally, ..plan(PlanMode::Cruise) }
     }
 
@@ -234,44 +222,12 @@ impl Planner {
     ///
     /// A slow vehicle does not set out where its camera does not look: such a candidate is a wish to look there.
     fn choose(&mut self, start: FlightTime, from: Sample, situation: &Situation, view: &View) -> (Tally, Course) {
-        let (config, goal) = (&self.config, situation.goal);
-        let (unknown_price, clearance_price) = (config.unknown_price as f32, config.clearance_price as f32);
-        let ask = Ask { threshold: config.gamma_low, unknown_price, clearance_price };
-        self.field.update(view, &self.fence, from.position, goal, ask);
-        self.guide.update(view, from.position, goal, config);
-        let (limits, speed_mps) = (config.limits(situation.cruise_mps), from.velocity.norm().min(situation.cruise_mps));
-        self.guide.time(speed_mps, &limits);
-        let near_goal = from.position.distance(goal) < LEFT_M;
-        let height_m = if from.position.distance(goal) < DESCENT_M { goal.z } else { self.top().z };
-        self.field.way(from.position, height_m, WAY_M, &mut self.way);
-        self.timing.time(&self.way, WAY_M, speed_mps, &limits, STEP_S);
-        let heading = |direction: Vector<World>| direction.y.atan2(direction.x);
-        let heading_rad = if from.velocity.horizontal_norm() > UNDER_WAY_MPS {
-            heading(from.velocity)
-        } else {
-            self.field.downhill(from.position).map_or(goal_heading(situation), heading)
-        };
-        let ways = [self.guide.timed(), self.timing.timed()];
-        let prices = Prices {
-            config,
-            library: &self.library,
-            aim: Aim { from, goal, speed_mps: situation.cruise_mps, height_m, heading_rad, ways },
-            situation,
-            start,
-            field: &self.field,
-            guide: &self.guide,
-            stuck: &self.stuck,
-            gaze: &self.gaze,
-            flying: self.flying,
-            near_goal,
-            least_m: LEAST_SHARE * config.least_commitment_m(situation.cruise_mps),
-            half_view_rad: view.half_view_rad(),
-        };
-        let admission = Admission::new(view, &self.fence, config);
-        let mut tally = Tally::default();
-        let (priced, refined) = (&mut self.priced, &mut self.refined);
-        let candidates = Candidates { priced, refined, scratch: &mut self.scratch, best: &mut self.draft.rollout };
-        let course = prices.choose(&admission, candidates, &mut tally);
+        let (height_m, half_view_rad) = (self.top().z, view.half_view_rad());
+        let Self { config, fence, deliberation, draft, stuck, gaze, flying, .. } = self;
+        let asked = Asked { config, situation, start, from, height_m, stuck, gaze, flying: *flying, half_view_rad };
+        let (admission, mut tally) = (Admission::new(view, fence, config), Tally::default());
+        deliberation.look(&asked, view, fence);
+        let course = deliberation.choose(&asked, &admission, &mut draft.rollout, &mut tally);
         let flies = if let Course::Go(flown) = course { Some(flown) } else { None };
         if flies.is_some() && flies != self.flying {
             self.replans += 1;
@@ -295,10 +251,21 @@ impl Planner {
                 PlanMode::GivenUp
             }
             _ => {
-                self.brake(from, situation.yaw_rad);
+                self.stop(from, situation.yaw_rad, view);
                 PlanMode::Hold
             }
         }
+    }
+
+    /// The stop that the map says is best; at rest, holding the place.
+    fn stop(&mut self, from: Sample, yaw_rad: f64, view: &View) {
+        if from.velocity.norm() < BEST_STOP_MPS {
+            return self.brake(from, yaw_rad);
+        }
+        self.flying = None;
+        let admission = Admission::new(view, &self.fence, &self.config);
+        emergency::stop(from, &admission, &self.config, &mut self.spare, &mut self.draft.rollout);
+        self.write_points(yaw_rad, |_| yaw_rad);
     }
 
     /// Flies back along the path flown, whose swept volume is free unless an image says otherwise.
@@ -351,7 +318,7 @@ impl Planner {
         let found = admission.admit(&self.draft.rollout, self.config.gamma_high);
         // So slowly the swept volume alone would admit it, plan by plan, into what was not seen.
         if found.is_err() || !admission.knows(&self.draft.rollout, self.config.gamma_high, f64::INFINITY) {
-            return self.turn(from, situation.yaw_rad, goal_heading(situation));
+            return self.turn(from, situation.yaw_rad, situation.goal_heading_rad());
         }
         self.flying = None;
         self.write_points(situation.yaw_rad, |_| situation.yaw_rad);
@@ -374,14 +341,9 @@ impl Planner {
     }
 }
 
-fn goal_heading(situation: &Situation) -> f64 {
-    let offset = situation.goal - situation.position;
-    if offset.horizontal_norm() < 0.5 { situation.yaw_rad } else { offset.y.atan2(offset.x) }
-}
-
 /// The direction of travel, or of the goal while hardly moving.
 fn travel_heading(velocity: Vector<World>, situation: &Situation) -> f64 {
-    if velocity.horizontal_norm() > 0.3 { velocity.y.atan2(velocity.x) } else { goal_heading(situation) }
+    if velocity.horizontal_norm() > 0.3 { velocity.y.atan2(velocity.x) } else { situation.goal_heading_rad() }
 }
 
 #[cfg(test)]
@@ -479,6 +441,30 @@ mod tests {
     fn gives_up_and_hovers_in_the_end() {
         let (_, _, modes) = fly(&home_only(6.0), 200.0);
         assert_eq!(modes.last(), Some(&PlanMode::GivenUp), "{modes:?}");
+    }
+
+    #[test]
+    fn goals_that_change_every_frame_or_cannot_be_reached_do_no_harm() {
+        let view = before_a_wall();
+        let mut planner = Planner::new(Config { lead_s: 0.0, ..config() }, FENCE, TAKE_OFF, 4.0);
+        let (mut position, mut velocity) = (Point::new(0.0, 0.0, 2.0), Vector::ZERO);
+        for tick in 0..400 {
+            let angle = f64::from(tick) * 2.4;
+            let goal = match tick % 4 {
+                0 => Point::new(30.0 * angle.cos(), 30.0 * angle.sin(), 2.0),
+                1 => position,
+                // Inside the wall, and beyond the fence.
+                2 => Point::new(5.0, 0.0, 2.0),
+                _ => Point::new(1e6, -1e6, 1e6),
+            };
+            let situation = Situation { goal, ..situation(f64::from(tick) * 0.1, position, velocity) };
+            planner.step(&situation, &view);
+            let last = planner.points().last().expect("a plan has points");
+            assert_eq!(last.velocity_mps, [0.0; 3], "it ends at rest");
+            let next = planner.points().get(1).unwrap_or(last);
+            (position, velocity) = (Point::from_array(next.position_m), Vector::from_array(next.velocity_mps));
+            assert!(position.x < 4.1 && FENCE.contains(position), "{tick}: {position:?}");
+        }
     }
 
     #[test]

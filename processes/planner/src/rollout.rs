@@ -151,7 +151,7 @@ fn follow(path: &[Timed], passed: &mut usize, at: Point<World>, speed: f64) -> V
     .clamp_norm(speed)
 }
 
-fn advance(sample: Sample, change: Vector<World>) -> Sample {
+pub(crate) fn advance(sample: Sample, change: Vector<World>) -> Sample {
     let velocity = sample.velocity + change;
     // The mean velocity of the step: exact for constant acceleration.
     Sample { position: sample.position + (sample.velocity + velocity) * (STEP_S / 2.0), velocity }

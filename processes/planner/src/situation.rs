@@ -25,6 +25,12 @@ pub struct Situation {
 }
 
 impl Situation {
+    /// Heading towards the goal, rad; the vehicle's own close by.
+    pub(crate) fn goal_heading_rad(&self) -> f64 {
+        let offset = self.goal - self.position;
+        if offset.horizontal_norm() < 0.5 { self.yaw_rad } else { offset.y.atan2(offset.x) }
+    }
+
     /// Whether state or map are too old to plan from, or from a time that is yet to come.
     pub(crate) fn is_stale(&self, config: &Config) -> bool {
         let is_fresh = |valid, deadline_s| (-0.1..=deadline_s).contains(&self.now.seconds_since(valid));

@@ -1,0 +1,63 @@
+//! Flying without a part, to see what the part is worth.
+
+use crate::config::FlightConfig;
+use ipc_types::messages::Layers;
+use serde::{Deserialize, Serialize};
+
+/// A part of the system that can be done without.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "snake_case")]
+pub(crate) enum Part {
+    /// Keyframes: the map is the newest frames alone, as many as must agree.
+    Memory,
+    /// The noise model: obstacles are inflated by the radius alone, λσ is nearly nothing.
+    Noise,
+    /// The lenient threshold for the plan being flown: γ_high = γ_low, and no hysteresis.
+    Hysteresis,
+    /// The gaze: the camera looks towards the goal, not where the vehicle flies, and not around.
+    Gaze,
+    /// The layers: four instead of two, or two instead of four.
+    Layers,
+}
+
+/// Thinnest noise that is allowed, px.
+const HARDLY_PX: f32 = 0.01;
+/// What the newest frames span, s: so short that there are no more than must agree.
+const HARDLY_S: f64 = 0.1;
+
+impl Part {
+    /// As it is called on the command line and in tables.
+    pub(crate) fn name(self) -> &'static str {
+        match self {
+            Self::Memory => "memory",
+            Self::Noise => "noise",
+            Self::Hysteresis => "hysteresis",
+            Self::Gaze => "gaze",
+            Self::Layers => "layers",
+        }
+    }
+
+    /// Takes it out of a configuration.
+    pub(crate) fn remove(self, config: &mut FlightConfig) {
+        let vehicle = &mut config.vehicle;
+        match self {
+            Self::Memory => {
+                // One of two nodes is the newest frame.
+                vehicle.memory.graph.keyframes = 2;
+                vehicle.memory.forget_s = HARDLY_S;
+            }
+            Self::Noise => (vehicle.noise.sigma_px, vehicle.noise.sigma_m) = (HARDLY_PX, 0.0),
+            Self::Hysteresis => {
+                vehicle.planner.gamma_high = vehicle.planner.gamma_low;
+                vehicle.planner.hysteresis_m = 0.0;
+            }
+            Self::Gaze => vehicle.planner.gaze_follows_flight = false,
+            Self::Layers => {
+                vehicle.expansion.layers = match vehicle.expansion.layers {
+                    Layers::Two => Layers::Four,
+                    Layers::Four => Layers::Two,
+                }
+            }
+        }
+    }
+}
