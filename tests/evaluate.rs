@@ -91,6 +91,28 @@ fn what_was_flown_otherwise_is_not_mixed_in() {
 }
 
 #[test]
+fn parts_and_densities_are_varied_and_drawn() {
+    let run = Run::new("varied");
+    let plot = run.path("success.svg");
+    let drawn = plot.display().to_string();
+    let varied = ["--world", "forest", "--trees", "0,0.02", "--without", "layers", "--plot", &drawn];
+    let flown = evaluate(&run, &[&["--seeds", "3", "--speed", "4", "--noise-camera"][..], &varied].concat());
+    assert!(flown.status.success(), "{}", String::from_utf8_lossy(&flown.stderr));
+    let table = rows(&run);
+    let flights: Vec<_> = column(&table, "trees_per_m2").into_iter().zip(column(&table, "without")).collect();
+    for flight in [("0.0", ""), ("0.02", ""), ("0.0", "layers"), ("0.02", "layers")] {
+        assert!(flights.contains(&(flight.0.to_owned(), flight.1.to_owned())), "{flight:?} in {flights:?}");
+    }
+    let hashes: std::collections::HashSet<_> = column(&table, "log_hash").into_iter().collect();
+    assert_eq!(hashes.len(), 4, "each flies differently");
+    let picture = std::fs::read_to_string(&plot).expect("drawn");
+    for part in ["by density of the forest", "without layers", "trees per m²"] {
+        assert!(picture.contains(part), "no {part}");
+    }
+    assert!(String::from_utf8_lossy(&flown.stdout).contains("default without layers"));
+}
+
+#[test]
 fn impossible_wishes_are_refused_before_anything_is_flown() {
     let run = Run::new("wishes");
     for (arguments, expected) in [
@@ -98,6 +120,8 @@ fn impossible_wishes_are_refused_before_anything_is_flown() {
         (&["--seeds", "few"], "FIRST..LAST"),
         (&["--seeds", "1..2000000000"], "flights"),
         (&["--speed", "300"], "cruise_speed_mps"),
+        (&["--trees", "7"], "trees_per_m2"),
+        (&["--without", "wings"], "memory, noise, hysteresis, gaze, layers"),
         (&["--world", "nowhere.ron"], "nowhere.ron"),
         (&["--config", "nothing.ron"], "nothing.ron"),
     ] {

@@ -52,6 +52,20 @@ fn thirty_forests_without_a_collision() {
 }
 
 #[test]
+fn a_curvy_corridor_is_flown_through() {
+    let _alone = real_time();
+    let flown = on_threads(cores(), 1..=10, |seed| {
+        let path = std::path::Path::new("corridor");
+        let mut config = FlightConfig::load_for_simulator(Some(path), None).expect("it is shipped");
+        config.seed = seed;
+        fly(&config)
+    });
+    for (flight, seed) in flown.iter().zip(1..) {
+        assert_eq!(flight.outcome, Outcome::Arrived, "seed {seed}: {flight:?}");
+    }
+}
+
+#[test]
 fn without_avoidance_nine_of_ten_of_them_end_in_a_collision() {
     let _alone = real_time();
     let blind = on_threads(cores(), 1..=30, |seed| {

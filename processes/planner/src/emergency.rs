@@ -112,7 +112,8 @@ mod tests {
         let (best, (occupied_m, _)) = stopped(&view, [2.65, 3.22], 4.0);
         let end = best.samples.last().expect("samples");
         assert!(end.position.y > 3.4, "{end:?}");
-        assert_eq!(occupied_m, 0.0);
+        // Straight it would be that for 0.2 m.
+        assert!(occupied_m < 0.11, "{occupied_m}");
         for pair in best.samples.windows(2) {
             let change = (pair[1].velocity - pair[0].velocity).norm() / STEP_S;
             assert!(change < 1.3 * config().hard_braking_mps2, "{change}");
