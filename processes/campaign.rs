@@ -289,7 +289,7 @@ const HEADINGS: [&str; 14] = [
     "flight",
     "world",
     "m/s",
-    "trees/m²",
+    "trees/m2",
     "flights",
     "arrived",
     "collided",
