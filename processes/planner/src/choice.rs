@@ -129,9 +129,12 @@ impl Prices<'_> {
         }
     }
 
-    /// Rolls out a candidate and prices it; `None` where it hardly moves, or creeps.
-    fn price(&self, index: Index, target: Target<'_>, rollout: &mut Rollout) -> Option<Priced> {
-        rollout.go(self.aim.from, target, self.config.horizon_s, self.config);
+    fn roll_out(&self, target: Target<'_>, rollout: &mut Rollout) {
+        rollout.fill(self.aim.from, target, self.config.horizon_s, self.config);
+    }
+
+    /// Prices a candidate, rolled out; `None` where it hardly moves, or creeps.
+    fn price(&self, index: Index, rollout: &Rollout) -> Option<Priced> {
         let (going, end) = (&rollout.samples[..rollout.braking], rollout.end_of_going());
         let from = self.aim.from.position;
         if !self.near_goal && (end.position.distance(from) < WORTHWHILE_M || self.committed_m(going) < self.least_m) {
@@ -148,7 +151,7 @@ impl Prices<'_> {
         let look_m =
             self.config.look_price_m * (looks * looks) as f64 + if turns { self.waiting_m(heading_rad) } else { 0.0 };
         // Also where it comes to rest: what shoots past the goal is no nearer to it.
-        let rest = end.position + self.stopping(end);
+        let rest = rollout.samples.last().map_or(end.position, |rest| rest.position);
         let price_m = self.to_goal_m(end.position).max(self.to_goal_m(rest))
             + SOON * self.to_goal_m(sets_out_at)
             + self.field.beyond_length_m(going)
@@ -168,12 +171,8 @@ impl Prices<'_> {
     /// does is creeping, which the swept volume alone would admit again and again.
     fn committed_m(&self, going: &[Sample]) -> f64 {
         let last = going[going.len().min((self.config.commit_s / STEP_S).round() as usize + 1) - 1];
-        (last.position + self.stopping(last)).distance(going[0].position)
-    }
-
-    /// The way of a straight stop.
-    fn stopping(&self, from: Sample) -> Vector<World> {
-        from.velocity * (from.velocity.norm() / (2.0 * self.config.braking_mps2))
+        let stop = last.velocity * (last.velocity.norm() / (2.0 * self.config.braking_mps2));
+        (last.position + stop).distance(going[0].position)
     }
 
     /// Distance that would be flown, at half of the cruise speed, while the camera turns to a heading, m.
@@ -198,10 +197,6 @@ impl Prices<'_> {
     fn to_goal_m(&self, end: Point<World>) -> f64 {
         let off_m = if self.near_goal { 0.0 } else { (end.z - self.aim.height_m).abs() };
         let level_m = self.field.to_goal_m(end) + self.config.height_price * off_m;
-        // No path is shorter than the straight line.
-        if level_m <= NO_WAY_M + end.distance(self.situation.goal) {
-            return level_m;
-        }
         let path_m = self.guide.to_goal_m(end);
         // Where there is no path either, far is better than nothing.
         level_m.min(NO_WAY_M + if path_m.is_finite() { path_m } else { end.distance(self.situation.goal) })
@@ -213,7 +208,8 @@ impl Prices<'_> {
         refined.clear();
         let size = self.library.size();
         for index in (0..size).chain(matches!(self.flying, Some(Flown::Turn(..))).then_some(size + FLYING)) {
-            priced.extend(self.price(index, self.target(index, refined), scratch));
+            self.roll_out(self.target(index, refined), scratch);
+            priced.extend(self.price(index, scratch));
         }
         sort(priced);
         let mut begun = 0;
@@ -239,8 +235,8 @@ impl Prices<'_> {
             let mut found = None;
             for change in 0..2 * PARAMETERS {
                 let tried = varied(turn, change, step, self.aim.speed_mps);
-                let priced = self.price(index, Target::Turn(tried), scratch);
-                if let Some(priced) = priced.filter(|priced| priced.price_m < cheapest_m) {
+                self.roll_out(Target::Turn(tried), scratch);
+                if let Some(priced) = self.price(index, scratch).filter(|priced| priced.price_m < cheapest_m) {
                     cheapest_m = priced.price_m;
                     found = Some((tried, priced));
                 }
@@ -272,7 +268,7 @@ impl Prices<'_> {
             let threshold =
                 if self.is_flying(candidate.index) { self.config.gamma_high } else { self.config.gamma_low };
             let heading_rad = candidate.heading_rad;
-            best.fill(self.aim.from, self.target(candidate.index, refined), self.config.horizon_s, self.config);
+            self.roll_out(self.target(candidate.index, refined), best);
             let admitted = tally.count(admission.admit(best, threshold));
             // What is known, though not from here, needs no look.
             let looks =

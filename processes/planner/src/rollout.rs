@@ -59,12 +59,6 @@ impl Rollout {
 
     /// Goes for `duration_s` after `target`, then brakes to rest. Reuses the samples' memory.
     pub(crate) fn fill(&mut self, start: Sample, target: Target<'_>, duration_s: f64, config: &Config) {
-        self.go(start, target, duration_s, config);
-        brake(self.end_of_going(), config.braking_mps2, |sample| self.samples.push(sample));
-    }
-
-    /// Goes for `duration_s` after `target`, and does not brake: enough for a price.
-    pub(crate) fn go(&mut self, start: Sample, target: Target<'_>, duration_s: f64, config: &Config) {
         self.samples.clear();
         self.samples.push(start);
         let mut sample = start;
@@ -82,6 +76,7 @@ impl Rollout {
             self.samples.push(sample);
         }
         self.braking = self.samples.len();
+        brake(sample, config.braking_mps2, |sample| self.samples.push(sample));
     }
 
     /// Brakes to rest at once, straight along the velocity. Reuses the samples' memory.
@@ -107,8 +102,7 @@ fn limited(change: Vector<World>, velocity: Vector<World>, config: &Config) -> V
     let limit = if along < 0.0 { config.braking_mps2 } else { config.acceleration_mps2 };
     let across = (change - ahead * along).norm();
     // An ellipse: hard turns leave less for the rest.
-    let (along, across) = (along / limit, across / config.lateral_mps2);
-    let asked = (along * along + across * across).sqrt() / STEP_S;
+    let asked = (along / limit).hypot(across / config.lateral_mps2) / STEP_S;
     change * (1.0 / asked.max(1.0))
 }
 
