@@ -51,9 +51,6 @@ const COLOURS: [RGBColor; 6] = [
 /// Writes an SVG: the share that arrived, with 95 % confidence, against speed where speeds differ, else against density;
 /// against speed also the speed √(2·a·R) from which the vehicle can just stop within what its sensor sees.
 pub(crate) fn plot(path: &Path, rows: &[&Row], braking_limit_mps: f64) -> Result<(), Box<dyn Error>> {
-    if path.extension().is_none_or(|extension| extension != "svg") {
-        return Err(format!("{}: plots are SVG; expected a name that ends in .svg", path.display()).into());
-    }
     let differ = |against: Against| rows.iter().any(|row| against.of(row).to_bits() != against.of(rows[0]).to_bits());
     let against = if !differ(Against::Speed) && differ(Against::Density) { Against::Density } else { Against::Speed };
     let lines = shares(rows, against);

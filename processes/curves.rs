@@ -1,6 +1,7 @@
 //! `sparrowhawk curves`: what a vote weighs by disparity, as a plot: the probability mass (DROAN, Fig. 3.13) and the
 //! confidence (Fig. 3.14).
 
+use crate::svg;
 use clap::Args;
 use ipc_types::StereoRig;
 use ipc_types::bounds::Bounds;
@@ -62,9 +63,7 @@ pub(crate) fn curves(arguments: &CurvesArguments) -> Result<ExitCode, Box<dyn Er
 
 /// Writes an SVG.
 fn plot(path: &Path, rig: &StereoRig, noise: &NoiseModel, radius_m: f32) -> Result<(), Box<dyn Error>> {
-    if path.extension().is_none_or(|extension| extension != "svg") {
-        return Err(format!("{}: plots are SVG; expected a name that ends in .svg", path.display()).into());
-    }
+    svg::check_name(path)?;
     let most_px = (rig.focal_baseline_px_m() / 4.0).max(10.0);
     let area = SVGBackend::new(path, (900, 520)).into_drawing_area();
     area.fill(&WHITE)?;

@@ -9,6 +9,7 @@ use crate::campaign_plot;
 use crate::config::FlightConfig;
 use crate::graph::Flight;
 use crate::run_files::VERSION;
+use crate::svg;
 use crate::trials::Trial;
 use crate::troubles::TroubleArguments;
 use clap::Args;
@@ -218,6 +219,7 @@ fn version() -> Result<String, Box<dyn Error>> {
 
 /// Flies a campaign; the exit code says whether all of it was flown.
 pub(crate) fn evaluate(arguments: &EvaluateArguments) -> Result<ExitCode, Box<dyn Error>> {
+    arguments.plot.as_deref().map_or(Ok(()), svg::check_name)?;
     let mut todo = arguments.flights(&version()?)?;
     let limits = todo.iter().map(|flight| flight.config.braking_limit_mps());
     let braking_limit_mps = limits.fold(f64::INFINITY, f64::min);

@@ -37,6 +37,7 @@ mod replay_input;
 mod replay_report;
 mod run_files;
 mod stereo;
+mod svg;
 mod trials;
 mod troubles;
 mod vehicle_config;

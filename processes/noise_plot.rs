@@ -1,5 +1,6 @@
 //! The histogram of disparity errors and the Gaussian fitted to it, as a picture.
 
+use crate::svg;
 use plotters::prelude::*;
 use std::error::Error;
 use std::path::Path;
@@ -8,9 +9,7 @@ use stereo_ingest::{ErrorProfile, GaussianFit};
 /// Writes an SVG: density of errors in 1/16 px bins as bars, the fit as a line.
 pub(crate) fn plot(path: &Path, profile: &ErrorProfile, fit: &GaussianFit) -> Result<(), Box<dyn Error>> {
     const BIN_PX: f64 = 1.0 / 16.0;
-    if path.extension().is_none_or(|extension| extension != "svg") {
-        return Err(format!("{}: plots are SVG; expected a name that ends in .svg", path.display()).into());
-    }
+    svg::check_name(path)?;
     let reach = (fit.bias_px.abs() + 5.0 * fit.sigma_px).clamp(1.0, 4.0);
     let reach = (reach / BIN_PX).ceil() * BIN_PX;
     let (shares, beyond) = profile.histogram(BIN_PX, reach);

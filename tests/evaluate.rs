@@ -120,6 +120,7 @@ fn impossible_wishes_are_refused_before_anything_is_flown() {
         (&["--seeds", "few"], "FIRST..LAST"),
         (&["--seeds", "1..2000000000"], "flights"),
         (&["--speed", "300"], "cruise_speed_mps"),
+        (&["--plot", "success.png"], ".svg"),
         (&["--trees", "7"], "trees_per_m2"),
         (&["--without", "wings"], "memory, noise, hysteresis, gaze, layers"),
         (&["--world", "nowhere.ron"], "nowhere.ron"),

@@ -59,7 +59,7 @@ pub enum PlanMode {
     Hold = 4,
     /// Turning on the spot to see more.
     LookAround = 5,
-    /// Flying back along the path flown.
+    /// Flying back along the path flown, or stepping back to see more.
     BackOut = 6,
     /// Hovering for good: no way was found.
     GivenUp = 7,

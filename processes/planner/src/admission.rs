@@ -113,35 +113,28 @@ impl Admission<'_> {
         self.walk(known, known.len(), threshold, escape).is_ok()
     }
 
-    /// Whether nothing known stands in a candidate's way for so long, were all of it seen that can be seen from here: good
-    /// enough to look there, not to fly. What is too near for the camera to see the whole body there must be known already.
-    pub(crate) fn promises(&self, rollout: &Rollout, threshold: f32, seconds: f64) -> bool {
+    /// Whether nothing known stands in a candidate's way for so long, were all of it seen that can be seen: good enough to
+    /// look there, not to fly. What is nearer than `near_m` must be known already.
+    pub(crate) fn promises(&self, rollout: &Rollout, threshold: f32, seconds: f64, near_m: f64) -> bool {
         let from = rollout.samples[0].position;
-        let near = |sample: &&Sample| sample.position.distance(from) < self.config.blind_m;
-        let near = rollout.samples.iter().take_while(near).count();
+        let near = rollout.samples.iter().take_while(|sample| sample.position.distance(from) < near_m).count();
         self.escape(rollout, threshold)
             .is_ok_and(|escape| self.walk(first(rollout, seconds), near, threshold, escape).is_ok())
-    }
-
-    /// Whether nothing known stands in a candidate's way for so long: good enough to look there from farther away.
-    pub(crate) fn hides(&self, rollout: &Rollout, threshold: f32, seconds: f64) -> bool {
-        self.escape(rollout, threshold)
-            .is_ok_and(|escape| self.walk(first(rollout, seconds), 0, threshold, escape).is_ok())
     }
 
     /// How much of a trajectory is occupied, or outside of the fence, and how much is unknown, m.
     pub(crate) fn risk(&self, rollout: &Rollout, threshold: f32) -> (f64, f64) {
         let (mut occupied_m, mut unknown_m) = (0.0, 0.0);
         for pair in rollout.samples.windows(2) {
-            let length_m = pair[0].position.distance(pair[1].position);
-            let pieces = (length_m / self.config.sample_m).ceil().max(1.0) as usize;
-            for piece in 1..=pieces {
-                let place = pair[0].position.lerp(pair[1].position, piece as f64 / pieces as f64);
+            let (from, to) = (pair[0].position, pair[1].position);
+            let places = self.places(from, to);
+            let piece_m = from.distance(to) / places.len() as f64;
+            for place in places {
                 match self.view.occupancy(place, threshold) {
-                    _ if !self.fence.contains(place) => occupied_m += length_m / pieces as f64,
+                    _ if !self.fence.contains(place) => occupied_m += piece_m,
                     Occupancy::Free => {}
-                    Occupancy::Occupied => occupied_m += length_m / pieces as f64,
-                    Occupancy::Unknown(_) => unknown_m += length_m / pieces as f64,
+                    Occupancy::Occupied => occupied_m += piece_m,
+                    Occupancy::Unknown(_) => unknown_m += piece_m,
                 }
             }
         }
@@ -195,9 +188,7 @@ impl Admission<'_> {
         must_be_known: bool,
         escape: Escape,
     ) -> Result<(), Refusal> {
-        let samples = (from.distance(to) / self.config.sample_m).ceil().max(1.0) as usize;
-        for sample in 1..=samples {
-            let point = from.lerp(to, sample as f64 / samples as f64);
+        for point in self.places(from, to) {
             if !self.fence.contains(point) && !self.is_way_back_in(from, to) {
                 return Err(Refusal::Outside);
             }
@@ -210,6 +201,12 @@ impl Admission<'_> {
             }
         }
         Ok(())
+    }
+
+    /// The places of a leg that are asked about, its start not included.
+    fn places(&self, from: Point<World>, to: Point<World>) -> impl ExactSizeIterator<Item = Point<World>> {
+        let count = (from.distance(to) / self.config.sample_m).ceil().max(1.0) as u32;
+        (0..count).map(move |place| from.lerp(to, f64::from(place + 1) / f64::from(count)))
     }
 
     /// Outside the fence only what leads back in is allowed.
@@ -263,7 +260,7 @@ mod tests {
             let ahead = Vector::new(4.0, 0.0, 0.0);
             rollout.fill(from, Target::Turn(Turn { first: ahead, then: ahead, switch_s: 1.0 }), 1.0, &config);
             assert_eq!(admission.admit(&rollout, config.gamma_low), Err(Refusal::Unknown));
-            assert_eq!(admission.promises(&rollout, config.gamma_low, 1.0), promises, "from {x_m} m");
+            assert_eq!(admission.promises(&rollout, config.gamma_low, 1.0, config.blind_m), promises, "from {x_m} m");
         }
     }
 

@@ -1,7 +1,7 @@
 //! Which candidate to fly: all are priced, and the map is asked about them in the order of their prices.
 //!
-//! What a candidate costs is known from below before the map is asked: what remains to the goal from its end. Most are
-//! never asked about, and the answer is the same as if all had been.
+//! What a candidate costs is known before the map is asked. Most are never asked about, and the answer is the same as if all
+//! had been.
 
 use crate::Config;
 use crate::admission::{Admission, Tally};
@@ -73,7 +73,7 @@ pub(crate) enum Course {
 /// A candidate and what it costs, m.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Priced {
-    /// Beyond the library: what is being flown.
+    /// In the library; beyond it what is being flown, then what was refined.
     index: Index,
     price_m: f64,
     heading_rad: f64,
@@ -274,15 +274,18 @@ impl Prices<'_> {
             let looks =
                 candidate.turns && looked < LOOKS && !(admitted && admission.knows(best, threshold, FORESEEN_S));
             if looks && !self.gaze.has_looked(heading_rad, self.situation, self.half_view_rad) {
-                if admission.promises(best, threshold, FORESEEN_S) {
+                if admission.promises(best, threshold, FORESEEN_S, self.config.blind_m) {
                     return Course::Look(heading_rad);
                 }
             } else if admitted {
                 let go = || Course::Go(self.flown(candidate.index, refined));
                 return if looks { Course::Look(heading_rad) } else { go() };
             }
-            let hides = slow && hidden.is_none() && looked < LOOKS && admission.hides(best, threshold, FORESEEN_S);
-            if hides && let Some(step) = self.step_back(heading_rad, admission, best) {
+            let hides = slow && hidden.is_none() && looked < LOOKS;
+            if hides
+                && admission.promises(best, threshold, FORESEEN_S, 0.0)
+                && let Some(step) = self.step_back(heading_rad, admission, best)
+            {
                 hidden = Some((candidate.price_m + self.config.step_back_price_m * (looked + 1).pow(2) as f64, step));
             }
         }

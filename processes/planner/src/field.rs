@@ -383,6 +383,30 @@ mod tests {
     }
 
     #[test]
+    fn a_way_leads_to_the_goal_and_costs_what_it_crosses() {
+        let (mut field, mut way) = (Field::new(10.0), Vec::new());
+        let going = |way: &[Point<World>]| -> Vec<Sample> {
+            way.iter().map(|&position| Sample { position, velocity: Vector::ZERO }).collect()
+        };
+        field.update(&home_only(200.0), &FENCE, AT, GOAL, ASK);
+        field.way(AT, 3.0, 8.0, &mut way);
+        let end = way.last().expect("a way");
+        assert!((end.x - 8.0).abs() < 0.3 && end.y.abs() < 0.3 && (end.z - 3.0).abs() < 0.1, "{end:?}");
+        assert_eq!(field.beyond_length_m(&going(&way)), 0.0);
+        // Known for 3 m alone, and never seen before: what lies beyond costs its price.
+        let mut field = Field::new(10.0);
+        field.update(&home_only(3.0), &FENCE, AT, GOAL, ASK);
+        let cost_m = field.beyond_length_m(&going(&way));
+        assert!((cost_m - 0.3 * 5.0).abs() < 0.2, "{cost_m}");
+        // Across the fence all is closed.
+        let narrow = Fence { most_m: [4.0, 50.0, 6.0], ..FENCE };
+        field.update(&home_only(200.0), &narrow, AT, GOAL, ASK);
+        let cost_m = field.beyond_length_m(&going(&way));
+        assert!((cost_m - (CLOSED_PRICE - 1.0) * 4.0).abs() < 6.0, "{cost_m}");
+        assert_eq!(field.beyond_length_m(&[]), 0.0);
+    }
+
+    #[test]
     fn what_was_occupied_stays_dear_and_hostile_points_are_far() {
         let mut field = Field::new(10.0);
         let cell = cell_of(Point::new(2.0, 0.0, 2.0));

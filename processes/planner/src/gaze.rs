@@ -16,7 +16,7 @@ const TURN_S: f64 = 4.0;
 /// A step back ends so near to where it leads, m ...
 const STEPPED_M: f64 = 0.15;
 /// ... or after so long, s.
-const STEP_S: f64 = 3.0;
+const STEPPING_S: f64 = 3.0;
 /// What was looked at is forgotten after this long, s ...
 const FORGET_S: f64 = 12.0;
 /// ... or this far away, m.
@@ -70,7 +70,7 @@ impl Gaze {
     /// The step back, until it is done, or was not within a reasonable time.
     pub(crate) fn stepping(&mut self, now: FlightTime, at: Point<World>) -> Option<StepBack> {
         let (step, since) = self.step?;
-        if step.to.distance(at) < STEPPED_M || now.seconds_since(since) > STEP_S {
+        if step.to.distance(at) < STEPPED_M || now.seconds_since(since) > STEPPING_S {
             self.step = None;
         }
         self.step.map(|(step, _)| step)
@@ -148,6 +148,27 @@ mod tests {
         assert!(!gaze.has_looked(-1.5, &at(2.0, here), HALF_VIEW_RAD), "the other side");
         assert!(!gaze.has_looked(1.7, &at(30.0, here), HALF_VIEW_RAD), "long ago");
         assert!(!gaze.has_looked(1.7, &at(2.0, Point::new(2.0, 0.0, 2.0)), HALF_VIEW_RAD), "elsewhere");
+    }
+
+    #[test]
+    fn a_step_back_ends_where_it_leads_or_in_time_and_counts_as_a_look() {
+        let at = |x_m: f64| Point::new(x_m, 0.0, 2.0);
+        let t = FlightTime::from_secs_f64;
+        let step = StepBack { to: at(-0.6), heading_rad: 0.0 };
+        let mut gaze = Gaze::new();
+        gaze.step_back(step, t(0.0), at(0.0));
+        assert_eq!(gaze.stepping(t(0.5), at(-0.3)), Some(step));
+        assert_eq!(gaze.stepping(t(1.0), at(-0.55)), None, "there");
+        assert_eq!(gaze.turning(t(1.1), 0.0), None, "it looks there already");
+        assert_eq!(gaze.looks(&situation(1.2, at(-0.55), Vector::ZERO)), 1);
+        for ends in [|gaze: &mut Gaze| gaze.stay(), |gaze: &mut Gaze| gaze.reset()] {
+            gaze.step_back(step, t(2.0), at(0.0));
+            assert!(gaze.stepping(t(2.1), at(0.0)).is_some());
+            ends(&mut gaze);
+            assert_eq!(gaze.stepping(t(2.2), at(0.0)), None);
+        }
+        gaze.step_back(step, t(3.0), at(0.0));
+        assert_eq!(gaze.stepping(t(3.1 + STEPPING_S), at(0.0)), None, "late");
     }
 
     #[test]

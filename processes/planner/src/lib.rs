@@ -1,14 +1,14 @@
 //! Where to fly next (DROAN, chapter 4).
 //!
-//! [`Planner`] is the pure core. At every new map it rolls out a library of candidates from where the vehicle will be
-//! when the plan takes effect ([`rollout`](self)), asks the map about each ([`admission`](self)), and publishes the
-//! cheapest admissible one. Every candidate ends at rest. Admissible means: no sample is occupied (but for a short way
-//! out of a margin the vehicle is in), and as far as the vehicle can get before the next plan or the controller's
-//! deadline, plus its braking distance along the velocity it then has, everything is known free. Beyond that a plan
-//! may pass through unknown space, at a price.
+//! [`Planner`] is the pure core. At every new map it rolls out a library of manoeuvres from where the vehicle will be when
+//! the plan takes effect, prices them by what remains to the goal, refines the cheapest, and publishes the first one in the
+//! order of prices that the map admits. Every candidate ends at rest. Admissible means: as far as the vehicle can get before
+//! the next plan or the controller's deadline, and along the straight stop from every instant of that, everything is known
+//! free (but for a short way out of a margin the vehicle is in). What lies beyond is priced, not asked.
 //!
 //! New plans are checked with γ_low, the plan being flown with γ_high, so that flicker causes no replan. Without an
-//! admissible plan the vehicle brakes, looks around, backs out along the path flown, and finally gives up and hovers.
+//! admissible plan the vehicle stops as the map says is best, looks around, backs out along the path flown, and finally
+//! gives up and hovers.
 //!
 //! Effort is bounded by the number of candidates and samples, never by time.
 
