@@ -62,6 +62,8 @@ const ARRIVED_M: f64 = 0.7;
 const SETTLE_MPS: f64 = 0.6;
 /// Speed of backing out, m/s.
 const BACK_OUT_MPS: f64 = 1.0;
+/// So far ahead of itself it asks about the way back, s.
+const BACKING_OUT_S: f64 = 2.0;
 /// Longest time that backing out may take, s.
 const BACK_OUT_S: f64 = 20.0;
 /// Faster than this the way to stop is chosen, m/s; slower it hardly matters.
@@ -92,6 +94,12 @@ impl Planner {
     /// Plans chosen anew rather than continued, so far.
     pub fn replans(&self) -> u64 {
         self.replans
+    }
+
+    /// Views older than this are to be disregarded: they wall in a vehicle whose way back, by which it came, they forbid. What
+    /// it has seen since, looking all around, is what it goes by.
+    pub fn disregards_before(&self) -> FlightTime {
+        self.stuck.disregards_before
     }
 
     /// Prices all candidates by what the map showed at the last plan, and no more; returns how many. For measuring.
@@ -283,10 +291,11 @@ impl Planner {
             return PlanMode::Hold;
         }
         self.flying = None;
-        self.draft.rollout.fill(from, Target::Place(next, BACK_OUT_MPS), 1.0, &self.config);
+        self.draft.rollout.fill(from, Target::Place(next, BACK_OUT_MPS), BACKING_OUT_S, &self.config);
         let admission = Admission::of_retreat(view, &self.fence, &self.config);
         if admission.admit(&self.draft.rollout, self.config.gamma_high).is_err() {
             if situation.now.seconds_since(since) > REFUSED_S {
+                self.stuck.walled_in(since, &self.config);
                 self.stuck.backed_out(situation.now);
             }
             self.brake(from, situation.yaw_rad);
@@ -435,6 +444,30 @@ mod tests {
         }
         assert!(modes.contains(&PlanMode::BackOut) && !modes.contains(&PlanMode::GivenUp), "{modes:?} {position:?}");
         assert!(position.x < 3.9, "{position:?}");
+    }
+
+    #[test]
+    fn a_vehicle_that_all_views_wall_in_goes_by_what_it_saw_while_it_looked_around() {
+        // Its place, the way it came and all around is occupied, as the wall's views have it.
+        let way: Vec<_> = (0..=30).map(|place| Point::new(f64::from(place) * 0.19, 0.0, 2.0)).collect();
+        let (mut walled_in, mut fresh) = (before_a_wall(), home_only(1.0));
+        [&mut walled_in, &mut fresh].map(|view| view.free_space_mut().set_path(way.iter().copied()));
+        let mut planner = Planner::new(Config { lead_s: 0.0, ..config() }, FENCE, TAKE_OFF, 4.0);
+        let (mut position, mut velocity, mut modes) = (way[30], Vector::ZERO, Vec::new());
+        let seen = FlightTime::from_secs_f64(0.1);
+        for tick in 0..600 {
+            let view = if planner.disregards_before() > seen { &fresh } else { &walled_in };
+            let plan = planner.step(&situation(f64::from(tick) * 0.1, position, velocity), view);
+            let next = planner.points().get(1).or(planner.points().last()).expect("a plan has points");
+            (position, velocity) = (Point::from_array(next.position_m), Vector::from_array(next.velocity_mps));
+            modes.push(plan.mode);
+            if position.x < way[30].x - 0.5 {
+                break;
+            }
+        }
+        modes.dedup();
+        assert!(planner.disregards_before() > seen, "{modes:?}");
+        assert!(position.x < way[30].x - 0.5 && !modes.contains(&PlanMode::GivenUp), "{position:?} {modes:?}");
     }
 
     #[test]

@@ -77,7 +77,8 @@ impl PlannerProcess {
         let mut is_complete = !keyframes.is_empty();
         self.images.retain(|(id, _)| keyframes.iter().any(|keyframe| keyframe.image_id == *id));
         self.view.clear();
-        for keyframe in keyframes {
+        let disregarded = self.planner.disregards_before().as_nanos();
+        for keyframe in keyframes.iter().filter(|keyframe| keyframe.exposure_ns >= disregarded) {
             let held = self.images.iter().find(|(id, _)| *id == keyframe.image_id).map(|(_, image)| image.clone());
             let image = held.or_else(|| {
                 let image = ports.images().get(keyframe.image_id)?;

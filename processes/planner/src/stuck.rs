@@ -73,6 +73,8 @@ pub(crate) struct Stuck {
     looked: FlightTime,
     /// The way back out: places of the path flown, the next one last.
     way_back: Vec<Point<World>>,
+    /// Older views are disregarded.
+    pub(crate) disregards_before: FlightTime,
 }
 
 impl Stuck {
@@ -87,6 +89,7 @@ impl Stuck {
             anchor: None,
             looked: FlightTime::ZERO,
             way_back: Vec::new(),
+            disregards_before: FlightTime::ZERO,
         }
     }
 
@@ -157,7 +160,7 @@ impl Stuck {
 
     /// No plan is admissible. `path` is the path flown, oldest first.
     pub(crate) fn no_plan(&mut self, now: FlightTime, at: Point<World>, path: &[Point<World>], config: &Config) {
-        let turn_s = 360.0 / (LOOK_SHARE * config.yaw_rate_degps);
+        let turn_s = look_around_s(config);
         self.stage = match self.stage {
             Stage::Moving => Stage::Waiting { since: now },
             Stage::Waiting { since } if now.seconds_since(since) > config.patience_s => {
@@ -182,7 +185,10 @@ impl Stuck {
                     self.way_back = path[to..].to_vec();
                     Stage::BackingOut { since: now }
                 }
-                None => Stage::LookingAround { since: now },
+                None => {
+                    self.walled_in(now, config);
+                    Stage::LookingAround { since: now }
+                }
             };
         }
     }
@@ -217,6 +223,12 @@ impl Stuck {
         Some(next)
     }
 
+    /// There is no way back either, though the vehicle came through: what walls it in was seen wrong, or has moved. From now on
+    /// it goes by what it has seen since it last began to look all around.
+    pub(crate) fn walled_in(&mut self, looked: FlightTime, config: &Config) {
+        self.disregards_before = looked - std::time::Duration::from_secs_f64(look_around_s(config));
+    }
+
     /// The place to back out to was reached, or was not within a reasonable time.
     pub(crate) fn backed_out(&mut self, now: FlightTime) {
         self.stage = Stage::LookingAround { since: now };
@@ -242,6 +254,11 @@ impl Stuck {
 
 /// Share of the vehicle's turn rate at which it looks around: slow enough for every direction to be seen sharply.
 pub(crate) const LOOK_SHARE: f64 = 0.6;
+
+/// Time of a whole turn, s.
+pub(crate) fn look_around_s(config: &Config) -> f64 {
+    360.0 / (LOOK_SHARE * config.yaw_rate_degps)
+}
 
 /// Distance of a point from the line between two others, m.
 fn off_line_m(point: Point<World>, from: Point<World>, to: Point<World>) -> f64 {
