@@ -8,7 +8,7 @@ pub use crate::vehicle_config::VehicleConfig;
 use ipc_types::bounds::Bounds;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
-use simulator::{Trouble, WorldConfig, WorldError};
+use simulator::{Piloted, Trouble, WorldConfig, WorldError};
 use std::fs;
 use std::path::{Path, PathBuf};
 use stereo_ingest::calibration::Rectifier;
@@ -77,6 +77,8 @@ pub struct FlightConfig {
     pub noise_camera: bool,
     /// What the simulated flight is troubled with.
     pub trouble: Trouble,
+    /// When a pilot flies the simulated vehicle.
+    pub pilot: Vec<Piloted>,
 }
 
 /// The configuration files that ship, compiled in.
@@ -210,6 +212,7 @@ impl FlightConfig {
             record_images: false,
             noise_camera: false,
             trouble: Trouble::default(),
+            pilot: Vec::new(),
         };
         let files = [label, vehicle_path, world_path, graph_path];
         config.check_values(&files)?;
@@ -274,6 +277,7 @@ impl FlightConfig {
         bounds.section("graph", |bounds| self.graph.check(bounds));
         bounds.section("mission", |bounds| self.mission.check(bounds));
         bounds.section("trouble", |bounds| self.trouble.check(bounds));
+        bounds.section("pilot", |bounds| self.pilot.iter().for_each(|piloted| piloted.check(bounds)));
         self.check_stopping(&mut bounds);
         self.check_places(&mut bounds);
         self.check_deadlines(&mut bounds);

@@ -13,12 +13,13 @@ use recorder::RecorderProcess;
 use runtime::Process;
 use runtime::ipc::{IpcPorts, Services};
 use runtime::run_dir::RunDir;
+use simulator::Piloted;
 use std::error::Error;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use supervisor::{
-    ATTENTION, ChildCommand, ChildStatus, Happening, LatencySummary, Losses, Mission, Outcome, ProcessSummary,
+    ATTENTION, AtGoal, ChildCommand, ChildStatus, Happening, LatencySummary, Losses, Mission, Outcome, ProcessSummary,
     SignalWatch, Summary, Supervision,
 };
 
@@ -35,8 +36,18 @@ pub(crate) struct FlyArguments {
     #[arg(long, default_value_t = 7)]
     pub(crate) seed: u64,
     /// Goal, in metres of the world: x,y,z.
-    #[arg(long, value_name = "X,Y,Z", value_parser = parse_point, allow_hyphen_values = true)]
+    #[arg(long, value_name = "X,Y,Z", value_parser = parse_numbers::<3>, allow_hyphen_values = true)]
     pub(crate) goal: Option<[f64; 3]>,
+    /// Place to pass on the way, x,y,z; instead of the flight file's. Repeat for more.
+    #[arg(long, value_name = "X,Y,Z", value_parser = parse_numbers::<3>, allow_hyphen_values = true)]
+    pub(crate) waypoint: Vec<[f64; 3]>,
+    /// Land at the goal; the column below it is declared free.
+    #[arg(long)]
+    pub(crate) land: bool,
+    /// A pilot takes over at this flight time, s, for so long, s, and flies at this velocity, m/s: what the vehicle would do
+    /// is recorded, not followed. Repeat for more. For the whole flight: shadow mode.
+    #[arg(long, value_name = "FROM,FOR,VX,VY,VZ", value_parser = parse_numbers::<5>, allow_hyphen_values = true)]
+    pub(crate) pilot: Vec<[f64; 5]>,
     /// Highest speed on the way, m/s.
     #[arg(long, value_name = "M/S")]
     pub(crate) speed: Option<f64>,
@@ -72,14 +83,15 @@ pub(crate) struct FlyArguments {
     pub(crate) summary: Option<PathBuf>,
 }
 
-fn parse_point(text: &str) -> Result<[f64; 3], String> {
+fn parse_numbers<const COUNT: usize>(text: &str) -> Result<[f64; COUNT], String> {
+    let expected = || format!("is \"{text}\", expected {COUNT} numbers, separated by commas");
     let values: Vec<f64> =
-        text.split(',').map(|value| value.trim().parse()).collect::<Result<_, _>>().map_err(|_| expected(text))?;
-    values.try_into().map_err(|_| expected(text))
+        text.split(',').map(|value| value.trim().parse()).collect::<Result<_, _>>().map_err(|_| expected())?;
+    values.try_into().map_err(|_| expected())
 }
 
-fn expected(text: &str) -> String {
-    format!("is \"{text}\", expected three numbers x,y,z")
+fn piloted(&[from_s, for_s, x, y, z]: &[f64; 5]) -> Piloted {
+    Piloted { from_s, for_s, velocity_mps: [x, y, z] }
 }
 
 impl FlyArguments {
@@ -91,6 +103,13 @@ impl FlyArguments {
         config.record_images = self.record_images;
         config.noise_camera = self.noise_camera;
         config.trouble = self.trouble.trouble();
+        config.pilot = self.pilot.iter().map(piloted).collect();
+        if !self.waypoint.is_empty() {
+            config.mission.waypoints_m.clone_from(&self.waypoint);
+        }
+        if self.land {
+            config.mission.at_goal = AtGoal::Land;
+        }
         config.mission.goal_m = self.goal.unwrap_or(config.mission.goal_m);
         config.mission.cruise_speed_mps = self.speed.unwrap_or(config.mission.cruise_speed_mps);
         config.mission.time_limit_s = self.time_limit.unwrap_or(config.mission.time_limit_s);
@@ -164,7 +183,7 @@ fn fly_processes(
     signals: SignalWatch,
 ) -> Result<Summary, Box<dyn Error>> {
     let services = Services::create(run)?;
-    let mut mission = Mission::new(config.mission);
+    let mut mission = Mission::new(config.mission.clone());
     let mut ports = IpcPorts::open(run, ProcessId::Supervisor, 0, &config.vehicle.rig, |ports| {
         mission.connect(ports);
         ports.follow_flight_clock();
@@ -251,6 +270,9 @@ pub fn report(summary: &Summary, folder: &Path) -> String {
         ),
     );
     line("replans", summary.replans.to_string());
+    if summary.shadow_setpoints > 0 {
+        line("pilot", format!("flew for {} setpoints, recorded and not followed", summary.shadow_setpoints));
+    }
     line("stereo pairs", format!("{}, of which {} led to no map", summary.frames, summary.frames_without_map));
     line("lost messages", losses(summary));
     line("clock", format!("{:.3} flight seconds per second", summary.clock_ratio));

@@ -86,7 +86,8 @@ pub fn controller(config: &FlightConfig) -> ControllerProcess {
 /// # Errors
 /// Its OctoMap file is none.
 pub fn world(config: &FlightConfig) -> Result<World, WorldError> {
-    World::grow(&config.world, config.seed, &[config.mission.start(), config.mission.goal()])
+    let kept: Vec<_> = std::iter::once(config.mission.start()).chain(config.mission.places()).collect();
+    World::grow(&config.world, config.seed, &kept)
 }
 
 /// What the simulator of a configuration is made from.
@@ -104,6 +105,7 @@ pub fn simulator(config: &FlightConfig) -> Result<SimulatorSetup, WorldError> {
         seed: config.seed,
         noise_camera: config.noise_camera,
         trouble: config.trouble,
+        pilot: config.pilot.clone(),
     })
 }
 
@@ -132,7 +134,7 @@ impl Flight {
     /// There is no world to fly in.
     pub fn new(config: &FlightConfig, recorder: Option<RecorderProcess>) -> Result<Self, WorldError> {
         let mut lockstep = Lockstep::new(config.seed, config.graph.latency.clone());
-        let mission = lockstep.add(Mission::new(config.mission));
+        let mission = lockstep.add(Mission::new(config.mission.clone()));
         let simulator = lockstep.add(SimulatorProcess::inline(simulator(config)?));
         lockstep.add(stereo_ingest(config));
         lockstep.add(expansion(config));

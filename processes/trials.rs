@@ -64,7 +64,7 @@ impl Trial {
             goal_m: [self.goal_m[0], self.goal_m[1], self.goal_m[2] - floor_m],
             cruise_height_m: height_m,
             home: HomeConfig { radius_m: HOME_RADIUS_M, height_m: height_m + 0.5 },
-            ..flight.mission
+            ..flight.mission.clone()
         };
         config.mission.fence.least_m = [least.x, least.y, LOWEST_M];
         config.mission.fence.most_m = [most.x, most.y, most.z - floor_m];

@@ -2,6 +2,7 @@
 
 use expansion::Expander;
 use ipc_types::disparity::{decode, encode};
+use ipc_types::messages::Task;
 use ipc_types::{Body, FlightTime, Point, Pose, Vector, World};
 use memory::{FreeSpace, View};
 use planner::{Planner, Situation, TakeOff};
@@ -46,8 +47,19 @@ fn planning_allocates_nothing() {
         let position = Point::new(6.0 + 0.2 * tick as f64, 0.0, 2.0);
         let velocity = Vector::new(2.5, 0.0, 0.0);
         let (goal, yaw_rad, cruise_mps) = (config.mission.goal(), 0.0, config.mission.cruise_speed_mps);
-        let situation =
-            Situation { now, state_valid: now, position, velocity, yaw_rad, goal, cruise_mps, image_valid: now };
+        let task = Task::Hover;
+        let situation = Situation {
+            now,
+            state_valid: now,
+            position,
+            velocity,
+            yaw_rad,
+            goal,
+            cruise_mps,
+            task,
+            piloted: false,
+            image_valid: now,
+        };
         planner.step(&situation, &view)
     };
     for tick in 0..3 {

@@ -22,7 +22,7 @@ pub use disparity_image::DisparityImage;
 pub use expanded_image::{ExpandedCells, ExpandedImage, ExpandedLayout, Layers, NEVER_OCCUPIED, Seen, UNKNOWN_FRONT};
 pub use flight_clock::FlightClock;
 pub use flown_path::{FlownPath, PathPoint};
-pub use goal::Goal;
+pub use goal::{Goal, Task};
 pub use health::{Health, HealthLevel};
 pub use keyframe_set::{Keyframe, KeyframeSet};
 pub use setpoint::{Setpoint, SetpointMode};

@@ -33,6 +33,8 @@ pub enum SetpointMode {
     Brake = 2,
     /// Holding the position where braking ended.
     Hover = 3,
+    /// What it would ask for while a pilot flies: to be recorded, not followed.
+    Shadow = 4,
 }
 
 impl SetpointMode {
@@ -42,6 +44,7 @@ impl SetpointMode {
             0 => Self::Idle,
             1 => Self::Track,
             3 => Self::Hover,
+            4 => Self::Shadow,
             _ => Self::Brake,
         }
     }

@@ -63,6 +63,10 @@ pub enum PlanMode {
     BackOut = 6,
     /// Hovering for good: no way was found.
     GivenUp = 7,
+    /// Descending at the goal.
+    Land = 8,
+    /// On the ground, at the end of a landing.
+    Landed = 9,
 }
 
 impl PlanMode {
@@ -76,6 +80,8 @@ impl PlanMode {
             5 => Self::LookAround,
             6 => Self::BackOut,
             7 => Self::GivenUp,
+            8 => Self::Land,
+            9 => Self::Landed,
             _ => Self::Hold,
         }
     }
@@ -92,6 +98,8 @@ impl std::fmt::Display for PlanMode {
             Self::LookAround => "look around",
             Self::BackOut => "back out",
             Self::GivenUp => "given up",
+            Self::Land => "land",
+            Self::Landed => "landed",
         })
     }
 }

@@ -5,7 +5,7 @@ use crate::wire::{Stamp, stamped, wire};
 
 wire! {
     /// State estimate, valid at `stamp.valid_ns` (which may lie well before publication).
-    VehicleState = "sparrowhawk/VehicleState/1" {
+    VehicleState = "sparrowhawk/VehicleState/2" {
         /// Origin.
         stamp: Stamp,
         /// Position of the body's origin in the world, m.
@@ -14,6 +14,10 @@ wire! {
         velocity_mps: [f64; 3],
         /// World from body, `[w, x, y, z]`.
         orientation: [f64; 4],
+        /// 1 while a pilot flies: the flight control unit does not follow setpoints.
+        piloted: u32,
+        /// Always zero.
+        reserved: u32,
     }
 }
 stamped!(VehicleState);

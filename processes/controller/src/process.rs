@@ -2,7 +2,7 @@
 
 use crate::{Config, Reference, Tracker};
 use ipc_types::limits::Fence;
-use ipc_types::messages::{SetpointMode, VehicleState};
+use ipc_types::messages::{PlanMode, SetpointMode, VehicleState};
 use ipc_types::topics::{Plan, Setpoints, State};
 use ipc_types::{FlightTime, ProcessId};
 use runtime::{Connect, Message, Ports, Process, Report};
@@ -52,6 +52,7 @@ impl ControllerProcess {
                     start: FlightTime::from_nanos(header.stamp.valid_ns),
                     published: FlightTime::from_nanos(header.stamp.published_ns),
                     image: FlightTime::from_nanos(header.image_valid_ns),
+                    mode: PlanMode::from_wire(header.mode),
                     points: points.to_vec(),
                 });
             } else {
@@ -89,8 +90,10 @@ impl Process for ControllerProcess {
         });
         match command.mode {
             SetpointMode::Track => self.report.worked(),
-            SetpointMode::Idle => self.report.degraded("waiting for a trajectory"),
+            SetpointMode::Idle if self.reference.is_none() => self.report.degraded("waiting for a trajectory"),
+            SetpointMode::Idle => self.report.worked(),
             SetpointMode::Brake => self.report.degraded("input is stale: braking"),
+            SetpointMode::Shadow => self.report.degraded("a pilot flies: commands are not followed"),
             SetpointMode::Hover => self.report.degraded("input is stale: hovering"),
         }
     }

@@ -3,7 +3,7 @@
 use crate::Config;
 use ipc_types::frames::wrap_angle_rad;
 use ipc_types::limits::Fence;
-use ipc_types::messages::{SetpointMode, TrajectoryPoint, VehicleState};
+use ipc_types::messages::{PlanMode, SetpointMode, TrajectoryPoint, VehicleState};
 use ipc_types::{FlightTime, Point, Vector, World};
 
 /// A trajectory being tracked.
@@ -15,6 +15,8 @@ pub struct Reference {
     pub published: FlightTime,
     /// Exposure of the newest image it rests on.
     pub image: FlightTime,
+    /// What the planner is doing.
+    pub mode: PlanMode,
     /// Samples in order of time.
     pub points: Vec<TrajectoryPoint>,
 }
@@ -50,7 +52,19 @@ impl Tracker {
     }
 
     /// The command at `now`. `state` and `reference` are the newest received, fresh or not.
+    ///
+    /// While a pilot flies it says what it would ask for, from where the vehicle is and as fast as it moves, so that nothing
+    /// jumps when the pilot hands back.
     pub fn step(&mut self, now: FlightTime, state: Option<&VehicleState>, reference: Option<&Reference>) -> Command {
+        let Some(piloted) = state.filter(|state| state.piloted != 0) else {
+            return self.fly(now, state, reference);
+        };
+        self.command = if piloted.velocity().is_finite() { piloted.velocity() } else { Vector::ZERO };
+        self.hover_at = None;
+        Command { mode: SetpointMode::Shadow, ..self.fly(now, state, reference) }
+    }
+
+    fn fly(&mut self, now: FlightTime, state: Option<&VehicleState>, reference: Option<&Reference>) -> Command {
         let config = self.config;
         // What claims to come from the future is as untrustworthy as what is late.
         let fresh = |valid: FlightTime, deadline_s: f64| (-0.1..=deadline_s).contains(&now.seconds_since(valid));
@@ -66,10 +80,18 @@ impl Tracker {
             None if self.commanded_at.is_none() => {
                 Command { velocity: Vector::ZERO, yaw_rate_radps: 0.0, mode: SetpointMode::Idle }
             }
+            Some(reference) if reference.mode == PlanMode::Landed => {
+                self.slew(now, Vector::ZERO, config.braking_mps2, 0.0, SetpointMode::Idle)
+            }
             Some(reference) if fresh(reference.published, config.trajectory_deadline_s) => {
                 self.hover_at = None;
                 let (velocity, yaw_rad) = self.track(now, state, &reference.points, reference.start);
-                let velocity = self.fence.limit(state.position(), velocity, config.braking_mps2);
+                let mut fence = self.fence;
+                if reference.mode == PlanMode::Land {
+                    // The ground lies below the lowest flight.
+                    fence.least_m[2] = f64::NEG_INFINITY;
+                }
+                let velocity = fence.limit(state.position(), velocity, config.braking_mps2);
                 let yaw_rate = self.yaw_rate(state, yaw_rad);
                 self.slew(now, velocity, config.slew_mps2, yaw_rate, SetpointMode::Track)
             }
@@ -198,6 +220,8 @@ mod tests {
             position_m: [0.0; 3],
             velocity_mps: [0.0; 3],
             orientation: [1.0, 0.0, 0.0, 0.0],
+            piloted: 0,
+            reserved: 0,
         }
     }
 
@@ -209,7 +233,8 @@ mod tests {
             velocity_mps: [4.0, 0.0, 0.0],
             yaw_rad: 0.0,
         };
-        Reference { start: t(start), published: t(start), image: t(start), points: (0..30).map(point).collect() }
+        let points = (0..30).map(point).collect();
+        Reference { start: t(start), published: t(start), image: t(start), mode: PlanMode::Cruise, points }
     }
 
     /// Flies the tracker against a first-order vehicle until `until`; the reference is renewed unless stale is wanted.
@@ -281,6 +306,59 @@ mod tests {
             assert!((pair[1].velocity - pair[0].velocity).norm() <= CONFIG.slew_mps2 * 0.0201);
         }
         assert!(at.x < 5.6, "{at:?}");
+    }
+
+    #[test]
+    fn when_a_pilot_hands_back_commands_go_on_from_what_he_flew() {
+        let mut tracker = Tracker::new(CONFIG, FENCE);
+        let (mut at, mut velocity) = (Point::new(0.0, 0.0, 2.0), Vector::ZERO);
+        fly(&mut tracker, 0.0, 1.0, true, &mut at, &mut velocity);
+        let sticks = Vector::new(-2.0, 3.0, 0.5);
+        let mut before = Vector::ZERO;
+        for (tick, piloted) in (0..60).map(|tick| (tick, u32::from(tick < 50))) {
+            let now = 1.0 + 0.02 * f64::from(tick);
+            let reference = Reference { published: t(now), ..straight(0.0) };
+            let at = at + sticks * (0.02 * f64::from(tick));
+            let state = VehicleState { piloted, ..state(now, at, sticks) };
+            let command = tracker.step(t(now), Some(&state), Some(&reference));
+            let mode = if piloted != 0 { SetpointMode::Shadow } else { SetpointMode::Track };
+            assert_eq!(command.mode, mode);
+            let from = if tick == 0 {
+                sticks
+            } else if piloted != 0 {
+                sticks
+            } else {
+                before
+            };
+            assert!((command.velocity - from).norm() <= CONFIG.slew_mps2 * 0.0201, "{tick}: {command:?}");
+            before = command.velocity;
+        }
+        let nowhere = VehicleState { piloted: 1, velocity_mps: [f64::NAN; 3], ..state(3.0, at, sticks) };
+        assert!(tracker.step(t(3.0), Some(&nowhere), None).velocity.is_finite());
+    }
+
+    #[test]
+    fn only_a_landing_goes_below_the_fence_and_what_has_landed_is_still() {
+        let low = Point::new(0.0, 0.0, 0.55);
+        let down = |mode| {
+            let mut reference = straight(0.0);
+            reference.mode = mode;
+            for (index, point) in reference.points.iter_mut().enumerate() {
+                (point.position_m, point.velocity_mps) = ([0.0, 0.0, 0.55 - 0.05 * index as f64], [0.0, 0.0, -0.5]);
+            }
+            let mut tracker = Tracker::new(CONFIG, FENCE);
+            let commands = (0..20).map(|tick| {
+                let now = 0.02 * f64::from(tick);
+                tracker.step(t(now), Some(&state(now, low, Vector::ZERO)), Some(&reference))
+            });
+            commands.last().expect("commands")
+        };
+        assert!(down(PlanMode::Land).velocity.z < -0.4);
+        assert!(
+            down(PlanMode::Cruise).velocity.z > -0.7 * 0.5 - 0.3 && down(PlanMode::Cruise).mode == SetpointMode::Track
+        );
+        let landed = down(PlanMode::Landed);
+        assert_eq!((landed.velocity, landed.mode), (Vector::ZERO, SetpointMode::Idle));
     }
 
     #[test]

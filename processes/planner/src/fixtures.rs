@@ -3,7 +3,7 @@
 use crate::route::SearchConfig;
 use crate::{Config, LibraryConfig, RouteConfig, Situation, TakeOff};
 use ipc_types::limits::Fence;
-use ipc_types::messages::{ExpandedLayout, Layers};
+use ipc_types::messages::{ExpandedLayout, Layers, Task};
 use ipc_types::noise::NoiseModel;
 use ipc_types::{Body, FlightTime, Point, Pose, Rotation, StereoRig, Vector, World};
 use memory::{FreeSpace, FreeSpaceRule, Inference, MapModel, View};
@@ -79,5 +79,16 @@ pub(crate) fn before_a_wall() -> View {
 pub(crate) fn situation(now: f64, position: Point<World>, velocity: Vector<World>) -> Situation {
     let now = FlightTime::from_secs_f64(now);
     let goal = Point::new(60.0, 0.0, 2.0);
-    Situation { now, state_valid: now, image_valid: now, position, velocity, yaw_rad: 0.0, goal, cruise_mps: 4.0 }
+    Situation {
+        now,
+        state_valid: now,
+        position,
+        velocity,
+        yaw_rad: 0.0,
+        goal,
+        cruise_mps: 4.0,
+        task: Task::Hover,
+        piloted: false,
+        image_valid: now,
+    }
 }

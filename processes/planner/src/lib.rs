@@ -22,9 +22,12 @@ mod field;
 mod fixtures;
 mod gaze;
 mod guide;
+mod landing;
 mod library;
 mod map_space;
 mod planner;
+#[cfg(test)]
+mod planner_tests;
 mod process;
 mod rollout;
 pub mod route;

@@ -7,11 +7,12 @@ use crate::deliberation::{Asked, Deliberation, NEAR_GOAL_M};
 use crate::draft::Draft;
 use crate::emergency;
 use crate::gaze::{Gaze, StepBack};
+use crate::landing::{Landing, SINK_MPS};
 use crate::rollout::{Rollout, Sample, Target};
 use crate::situation::Situation;
 use crate::stuck::{Stage, Stuck};
 use ipc_types::limits::Fence;
-use ipc_types::messages::{PlanMode, TrajectoryPoint};
+use ipc_types::messages::{PlanMode, Task, TrajectoryPoint};
 use ipc_types::{FlightTime, Point, Vector, World};
 use memory::{Occupancy, View};
 use std::f64::consts::PI;
@@ -46,6 +47,7 @@ pub struct Planner {
     take_off: TakeOff,
     airborne: bool,
     arrived: bool,
+    landing: Option<Landing>,
     goal: Option<Point<World>>,
     flying: Option<Flown>,
     stuck: Stuck,
@@ -58,6 +60,8 @@ pub struct Planner {
 
 /// Distance to the goal at which it counts as reached, m. The rest is closed slowly, as far as it is free.
 const ARRIVED_M: f64 = 0.7;
+/// So near to where it is to land it sinks, m.
+const LAND_WITHIN_M: f64 = 0.4;
 /// Speed of closing the last bit of the way, m/s.
 const SETTLE_MPS: f64 = 0.6;
 /// Speed of backing out, m/s.
@@ -79,6 +83,7 @@ impl Planner {
             take_off,
             airborne: false,
             arrived: false,
+            landing: None,
             goal: None,
             flying: None,
             stuck: Stuck::new(),
@@ -124,15 +129,7 @@ impl Planner {
     /// Plans from a situation and a map.
     pub fn step(&mut self, situation: &Situation, view: &View) -> Plan {
         let start = situation.now + std::time::Duration::from_secs_f64(self.config.lead_s);
-        if self.goal.is_none_or(|goal| goal.distance(situation.goal) > 0.05) {
-            self.goal = Some(situation.goal);
-            self.stuck.reset();
-            self.gaze.reset();
-            self.deliberation.reset();
-            // The library's candidates are named relative to the goal.
-            self.flying = None;
-            self.arrived = false;
-        }
+        self.take_goal(situation);
         // Where the vehicle will be when the plan takes effect.
         let ahead_s = start.seconds_since(situation.state_valid).clamp(0.0, 0.5);
         let from = Sample { position: situation.position + situation.velocity * ahead_s, velocity: situation.velocity };
@@ -143,9 +140,13 @@ impl Planner {
             self.brake(from, situation.yaw_rad);
             return plan(PlanMode::GivenUp);
         }
-        if situation.is_stale(&self.config) {
+        if situation.task == Task::Stay || situation.is_stale(&self.config) {
+            self.landing.iter_mut().for_each(|landing| landing.wait(situation.now));
             self.brake(from, situation.yaw_rad);
             return plan(PlanMode::Hold);
+        }
+        if let Some(mode) = self.land(situation, from) {
+            return plan(mode);
         }
         if !self.airborne {
             let climb = Target::Place(self.top(), self.config.take_off_mps);
@@ -159,6 +160,9 @@ impl Planner {
             return Plan { mode: self.back_out(situation, from, since, view), ..plan(PlanMode::BackOut) };
         }
         if self.arrived {
+            if situation.task == Task::Land && self.hovers_above(situation) {
+                self.landing = Some(Landing::begin(situation.now));
+            }
             self.settle(situation, from, view);
             return plan(PlanMode::Arrived);
         }
@@ -206,6 +210,46 @@ impl Planner {
             |velocity| if follows { travel_heading(velocity, situation) } else { situation.goal_heading_rad() };
         self.write_points(situation.yaw_rad, heading);
         Plan { tally, ..plan(PlanMode::Cruise) }
+    }
+
+    /// A new goal, or another thing to do there, forgives everything; so does a pilot, who decides for himself.
+    fn take_goal(&mut self, situation: &Situation) {
+        let is_new = self.goal.is_none_or(|goal| goal.distance(situation.goal) > 0.05);
+        if is_new {
+            self.goal = Some(situation.goal);
+            self.deliberation.reset();
+            // The library's candidates are named relative to the goal.
+            self.flying = None;
+            self.arrived = false;
+        }
+        if is_new || situation.piloted {
+            self.stuck.reset();
+            self.gaze.reset();
+        }
+        if is_new || situation.piloted || situation.task == Task::Hover {
+            self.landing = None;
+        }
+    }
+
+    /// Whether it is slow enough, and near enough to where it is to land, to sink.
+    fn hovers_above(&self, situation: &Situation) -> bool {
+        let aside = (situation.goal - situation.position).horizontal_norm();
+        aside < LAND_WITHIN_M && situation.velocity.norm() < BEST_STOP_MPS
+    }
+
+    /// Goes on with a landing that has begun.
+    fn land(&mut self, situation: &Situation, from: Sample) -> Option<PlanMode> {
+        let aim = self.landing.as_mut()?.aim(situation);
+        if self.landing.is_some_and(|landing| landing.has_landed) {
+            // From where it took off it may do so again; elsewhere nothing around it is known.
+            self.airborne = !self.is_take_off(situation.position);
+            self.brake(from, situation.yaw_rad);
+            return Some(PlanMode::Landed);
+        }
+        self.flying = None;
+        self.draft.rollout.fill(from, Target::Place(aim, SINK_MPS), 1.0, &self.config);
+        self.write_points(situation.yaw_rad, |_| situation.yaw_rad);
+        Some(PlanMode::Land)
     }
 
     /// Where take-off ends.
@@ -353,166 +397,4 @@ impl Planner {
 /// The direction of travel, or of the goal while hardly moving.
 fn travel_heading(velocity: Vector<World>, situation: &Situation) -> f64 {
     if velocity.horizontal_norm() > 0.3 { velocity.y.atan2(velocity.x) } else { situation.goal_heading_rad() }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::fixtures::{FENCE, TAKE_OFF, before_a_wall, config, home_only, situation};
-
-    /// Follows the planner's own plans, ten a second.
-    fn fly(view: &View, seconds: f64) -> (Point<World>, f64, Vec<PlanMode>) {
-        // The plan is followed exactly and at once.
-        let mut planner = Planner::new(Config { lead_s: 0.0, ..config() }, FENCE, TAKE_OFF, 4.0);
-        let (mut position, mut velocity, mut fastest, mut modes) = (Point::ZERO, Vector::ZERO, 0.0_f64, Vec::new());
-        for tick in 0..(seconds * 10.0) as usize {
-            let plan = planner.step(&situation(tick as f64 * 0.1, position, velocity), view);
-            let next = planner.points().get(1).or(planner.points().last()).expect("a plan has points");
-            position = Point::from_array(next.position_m);
-            velocity = Vector::from_array(next.velocity_mps);
-            fastest = fastest.max(velocity.norm());
-            if modes.last() != Some(&plan.mode) {
-                modes.push(plan.mode);
-            }
-        }
-        (position, fastest, modes)
-    }
-
-    #[test]
-    fn takes_off_flies_and_arrives_where_all_is_free() {
-        let (position, fastest, modes) = fly(&home_only(200.0), 30.0);
-        assert_eq!(modes, [PlanMode::TakeOff, PlanMode::Cruise, PlanMode::Arrived]);
-        assert!(position.distance(Point::new(60.0, 0.0, 2.0)) < 0.5, "{position:?}");
-        assert!(fastest > 3.8, "{fastest}");
-    }
-
-    #[test]
-    fn a_stale_state_or_map_means_holding_even_in_the_climb() {
-        let view = home_only(200.0);
-        for height_m in [0.5, 2.0] {
-            let fresh = situation(10.0, Point::new(0.0, 0.0, height_m), Vector::new(1.0, 0.0, 0.5));
-            let early = FlightTime::from_secs_f64(9.0);
-            for stale in [Situation { state_valid: early, ..fresh }, Situation { image_valid: early, ..fresh }] {
-                let mut planner = Planner::new(config(), FENCE, TAKE_OFF, 4.0);
-                assert_ne!(planner.step(&fresh, &view).mode, PlanMode::Hold);
-                assert_eq!(planner.step(&stale, &view).mode, PlanMode::Hold);
-                assert_eq!(planner.points().last().expect("points").velocity_mps, [0.0; 3]);
-            }
-        }
-    }
-
-    #[test]
-    fn the_last_of_the_way_is_flown_only_where_it_is_known_free() {
-        let goal = Point::new(30.0, 0.0, 2.0);
-        let at = Situation { goal, ..situation(10.0, Point::new(29.4, 0.0, 2.0), Vector::ZERO) };
-        for (home_radius_m, end_m) in [(200.0, 30.0), (1.0, 29.4)] {
-            let mut view = home_only(home_radius_m);
-            // The swept volume alone must not carry it there.
-            view.free_space_mut().set_path([Point::new(29.4, 0.0, 2.0)]);
-            let mut planner = Planner::new(config(), FENCE, TAKE_OFF, 4.0);
-            assert_eq!(planner.step(&at, &view).mode, PlanMode::Arrived);
-            let end = planner.points().last().expect("points").position_m[0];
-            assert!((end - end_m).abs() < 0.1, "{end}");
-        }
-    }
-
-    #[test]
-    fn never_leaves_what_is_known_free() {
-        let (position, fastest, _) = fly(&home_only(12.0), 20.0);
-        assert!((position - Point::ZERO).horizontal_norm() < 12.0, "{position:?}");
-        assert!(fastest > 1.0, "it flies at all: {fastest}");
-    }
-
-    #[test]
-    fn a_vehicle_deep_inside_a_margin_leaves_it_by_the_way_it_came() {
-        let mut view = before_a_wall();
-        let flown = (0..=18).map(|place| Point::new(f64::from(place) * 0.25, 0.0, 2.0));
-        view.free_space_mut().set_path(flown);
-        let mut planner = Planner::new(Config { lead_s: 0.0, ..config() }, FENCE, TAKE_OFF, 4.0);
-        let (mut position, mut velocity, mut modes) = (Point::new(4.5, 0.0, 2.0), Vector::ZERO, Vec::new());
-        for tick in 0..300 {
-            let plan = planner.step(&situation(f64::from(tick) * 0.1, position, velocity), &view);
-            let next = planner.points().get(1).or(planner.points().last()).expect("a plan has points");
-            (position, velocity) = (Point::from_array(next.position_m), Vector::from_array(next.velocity_mps));
-            if modes.last() != Some(&plan.mode) {
-                modes.push(plan.mode);
-            }
-            assert!(position.x < 4.55, "no deeper: {position:?}");
-            if position.x < 3.9 {
-                break; // Out of it, and free to fly around what the image shows.
-            }
-        }
-        assert!(modes.contains(&PlanMode::BackOut) && !modes.contains(&PlanMode::GivenUp), "{modes:?} {position:?}");
-        assert!(position.x < 3.9, "{position:?}");
-    }
-
-    #[test]
-    fn a_vehicle_that_all_views_wall_in_goes_by_what_it_saw_while_it_looked_around() {
-        // Its place, the way it came and all around is occupied, as the wall's views have it.
-        let way: Vec<_> = (0..=30).map(|place| Point::new(f64::from(place) * 0.19, 0.0, 2.0)).collect();
-        let (mut walled_in, mut fresh) = (before_a_wall(), home_only(1.0));
-        [&mut walled_in, &mut fresh].map(|view| view.free_space_mut().set_path(way.iter().copied()));
-        let mut planner = Planner::new(Config { lead_s: 0.0, ..config() }, FENCE, TAKE_OFF, 4.0);
-        let (mut position, mut velocity, mut modes) = (way[30], Vector::ZERO, Vec::new());
-        let seen = FlightTime::from_secs_f64(0.1);
-        for tick in 0..600 {
-            let view = if planner.disregards_before() > seen { &fresh } else { &walled_in };
-            let plan = planner.step(&situation(f64::from(tick) * 0.1, position, velocity), view);
-            let next = planner.points().get(1).or(planner.points().last()).expect("a plan has points");
-            (position, velocity) = (Point::from_array(next.position_m), Vector::from_array(next.velocity_mps));
-            modes.push(plan.mode);
-            if position.x < way[30].x - 0.5 {
-                break;
-            }
-        }
-        modes.dedup();
-        assert!(planner.disregards_before() > seen, "{modes:?}");
-        assert!(position.x < way[30].x - 0.5 && !modes.contains(&PlanMode::GivenUp), "{position:?} {modes:?}");
-    }
-
-    #[test]
-    fn gives_up_and_hovers_in_the_end() {
-        let (_, _, modes) = fly(&home_only(6.0), 200.0);
-        assert_eq!(modes.last(), Some(&PlanMode::GivenUp), "{modes:?}");
-    }
-
-    #[test]
-    fn goals_that_change_every_frame_or_cannot_be_reached_do_no_harm() {
-        let view = before_a_wall();
-        let mut planner = Planner::new(Config { lead_s: 0.0, ..config() }, FENCE, TAKE_OFF, 4.0);
-        let (mut position, mut velocity) = (Point::new(0.0, 0.0, 2.0), Vector::ZERO);
-        for tick in 0..400 {
-            let angle = f64::from(tick) * 2.4;
-            let goal = match tick % 4 {
-                0 => Point::new(30.0 * angle.cos(), 30.0 * angle.sin(), 2.0),
-                1 => position,
-                // Inside the wall, and beyond the fence.
-                2 => Point::new(5.0, 0.0, 2.0),
-                _ => Point::new(1e6, -1e6, 1e6),
-            };
-            let situation = Situation { goal, ..situation(f64::from(tick) * 0.1, position, velocity) };
-            planner.step(&situation, &view);
-            let last = planner.points().last().expect("a plan has points");
-            assert_eq!(last.velocity_mps, [0.0; 3], "it ends at rest");
-            let next = planner.points().get(1).unwrap_or(last);
-            (position, velocity) = (Point::from_array(next.position_m), Vector::from_array(next.velocity_mps));
-            assert!(position.x < 4.1 && FENCE.contains(position), "{tick}: {position:?}");
-        }
-    }
-
-    #[test]
-    fn keeps_inside_the_fence() {
-        // The plan is followed exactly and at once.
-        let config = Config { lead_s: 0.0, ..config() };
-        let mut planner = Planner::new(config, Fence { most_m: [20.0, 50.0, 6.0], ..FENCE }, TAKE_OFF, 4.0);
-        let view = home_only(200.0);
-        let (mut position, mut velocity) = (Point::new(0.0, 0.0, 2.0), Vector::ZERO);
-        for tick in 0..200 {
-            planner.step(&situation(f64::from(tick) * 0.1, position, velocity), &view);
-            let next = planner.points().get(1).or(planner.points().last()).expect("a plan has points");
-            position = Point::from_array(next.position_m);
-            velocity = Vector::from_array(next.velocity_mps);
-            assert!(position.x <= 20.0, "{position:?}");
-        }
-    }
 }

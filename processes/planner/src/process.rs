@@ -2,7 +2,7 @@
 
 use crate::{Config, Planner, Situation, TakeOff};
 use ipc_types::limits::Fence;
-use ipc_types::messages::{Goal, Keyframe, PlanMode, TrajectoryPoint, VehicleState};
+use ipc_types::messages::{Goal, Keyframe, PlanMode, Task, TrajectoryPoint, VehicleState};
 use ipc_types::topics::{Goals, Keyframes, Path, Plan, State};
 use ipc_types::{FlightTime, Point, ProcessId, World};
 use memory::{FreeSpace, FreeSpaceRule, MapModel, View};
@@ -109,6 +109,8 @@ impl PlannerProcess {
             yaw_rad: pose.rotation.roll_pitch_yaw().2,
             goal: Point::from_array(goal.position_m),
             cruise_mps: goal.cruise_speed_mps,
+            task: Task::from_wire(goal.task),
+            piloted: state.piloted != 0,
             image_valid,
         })
     }

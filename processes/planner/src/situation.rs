@@ -1,6 +1,7 @@
 //! What the planner plans from.
 
 use crate::Config;
+use ipc_types::messages::Task;
 use ipc_types::{FlightTime, Point, Vector, World};
 
 /// What the planner plans from.
@@ -20,6 +21,10 @@ pub struct Situation {
     pub goal: Point<World>,
     /// Highest speed on the way, m/s.
     pub cruise_mps: f64,
+    /// What to do there.
+    pub task: Task,
+    /// Whether a pilot flies: plans are made, but not followed.
+    pub piloted: bool,
     /// Exposure of the newest image in the map.
     pub image_valid: FlightTime,
 }

@@ -5,6 +5,7 @@
 //! * [`NoiseCamera`]: disparity without images, by a model of what camera and matcher get wrong.
 //! * [`Vehicle`]: a quadrotor behind a velocity-command flight control unit that brakes by itself when setpoints stop.
 //! * [`Trouble`]: wind, lost frames, blindness, estimates that jump or lag.
+//! * [`Piloted`]: a pilot who takes over and hands back.
 //! * [`Estimator`]: what the vehicle believes of its own state: late, noisy, drifting.
 //! * [`Collider`]: true clearance and continuous whole-body collision, by parry3d.
 //!
@@ -18,6 +19,7 @@ mod ground;
 mod noise3;
 mod noise_camera;
 mod octomap;
+mod pilot;
 mod process;
 mod raster;
 mod render;
@@ -30,6 +32,7 @@ pub use collider::{Clearance, Collider};
 pub use estimator::{Estimator, EstimatorConfig};
 pub use noise_camera::{Class, NoiseCamera, NoiseCameraConfig, Shares};
 pub use octomap::{Octomap, OctomapError};
+pub use pilot::Piloted;
 pub use process::{SimulatorConfig, SimulatorProcess, SimulatorSetup};
 pub use render::Renderer;
 pub use trouble::Trouble;

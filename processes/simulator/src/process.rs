@@ -4,10 +4,12 @@ use crate::camera::{CameraConfig, StereoCamera, camera_pose};
 use crate::collider::{Clearance, Collider};
 use crate::estimator::{Estimator, EstimatorConfig};
 use crate::noise_camera::{NoiseCamera, NoiseCameraConfig};
+use crate::pilot::{Piloted, sticks};
 use crate::trouble::{Trouble, Troubles};
 use crate::vehicle::{Vehicle, VehicleConfig};
 use crate::world::World;
 use ipc_types::bounds::Bounds;
+use ipc_types::messages::SetpointMode;
 use ipc_types::rig::CameraMount;
 use ipc_types::topics::{Clock, DepthFrames, Setpoints, State, StereoFrames, Truth};
 use ipc_types::{Body, Camera, FlightTime, HostTime, Point, Pose, ProcessId, StereoRig, Vector, World as WorldFrame};
@@ -23,6 +25,9 @@ const STEP: Duration = Duration::from_millis(5);
 const STEPS_PER_STATE: u64 = 2;
 /// Flight time that may be caught up at once; beyond it flight time slows down instead.
 const LONGEST_CATCH_UP: Duration = Duration::from_millis(50);
+/// Meeting the ground no faster than this, downwards and aside, is touching down; else it is a collision, m/s.
+const TOUCH_DOWN_MPS: f64 = 1.0;
+const TOUCH_DOWN_ASIDE_MPS: f64 = 0.5;
 /// Frames being rendered beyond which flight time waits.
 const FRAMES_IN_WORK: usize = 1;
 
@@ -71,6 +76,8 @@ pub struct SimulatorSetup {
     pub noise_camera: bool,
     /// What the flight is troubled with.
     pub trouble: Trouble,
+    /// When a pilot flies.
+    pub pilot: Vec<Piloted>,
 }
 
 /// Who renders: this thread, so that everything repeats, or another, so that the dynamics never wait.
@@ -247,7 +254,10 @@ impl SimulatorProcess {
 
     /// One step of the dynamics, up to `now`.
     fn advance(&mut self, now: FlightTime) {
-        let before = self.vehicle.world_from_body();
+        if let Some(velocity) = sticks(&self.setup.pilot, now) {
+            self.vehicle.command(now, velocity, 0.0);
+        }
+        let (before, velocity) = (self.vehicle.world_from_body(), self.vehicle.velocity());
         let place = self.vehicle.position();
         let ground_m = self.setup.world.ground_height_m(place.x, place.y);
         let wind = self.troubles.wind(STEP.as_secs_f64());
@@ -256,7 +266,8 @@ impl SimulatorProcess {
         if self.vehicle.airborne() {
             // The ground counts once the vehicle has cleared it.
             let cleared = place.z - self.setup.start.z > 0.5 || self.collided;
-            let ground = cleared || place.distance(self.setup.start) > 1.0;
+            let touches_down = -velocity.z < TOUCH_DOWN_MPS && velocity.horizontal_norm() < TOUCH_DOWN_ASIDE_MPS;
+            let ground = (cleared || place.distance(self.setup.start) > 1.0) && !touches_down;
             self.collided |= self.collider.collides(before, after, ground);
         }
         self.stepped = now;
@@ -269,6 +280,7 @@ impl SimulatorProcess {
         self.estimator.measure(now, believed, self.vehicle.velocity());
         let ratio = self.clock.ratio(now);
         let host_ns = self.host.as_nanos();
+        let piloted = sticks(&self.setup.pilot, now).is_some();
         ports.publish::<Clock>(now, 0, |clock, _| {
             (clock.flight_ns, clock.host_ns, clock.rate) = (now.as_nanos(), host_ns, 1.0);
         });
@@ -277,6 +289,7 @@ impl SimulatorProcess {
                 state.position_m = estimate.world_from_body.origin().to_array();
                 state.velocity_mps = estimate.velocity.to_array();
                 state.orientation = estimate.world_from_body.rotation.to_wxyz();
+                state.piloted = u32::from(piloted);
             });
         }
         self.clearance = self.collider.clearance(pose);
@@ -360,9 +373,11 @@ impl Process for SimulatorProcess {
     fn step<P: Ports>(&mut self, ports: &mut P) -> Report {
         if let Some(setpoint) = ports.latest::<Setpoints>() {
             let setpoint = setpoint.header();
-            // By the time of receipt: the flight control unit has no other clock.
-            let velocity = Vector::from_array(setpoint.velocity_mps);
-            self.vehicle.command(self.stepped, velocity, setpoint.yaw_rate_radps);
+            // By the time of receipt: the flight control unit has no other clock. What is only to be recorded it does not follow.
+            if SetpointMode::from_wire(setpoint.mode) != SetpointMode::Shadow {
+                let velocity = Vector::from_array(setpoint.velocity_mps);
+                self.vehicle.command(self.stepped, velocity, setpoint.yaw_rate_radps);
+            }
         }
         while self.stepped + STEP <= ports.now() {
             self.advance(self.stepped + STEP);

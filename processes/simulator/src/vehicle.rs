@@ -104,6 +104,10 @@ impl Vehicle {
         if self.position.z < resting_m {
             self.position.z = resting_m;
             self.velocity.z = self.velocity.z.max(0.0);
+            // A flight control unit that is told to go on down cuts its motors.
+            if velocity.z < 0.0 {
+                (self.airborne, self.velocity, self.acceleration) = (false, Vector::ZERO, Vector::ZERO);
+            }
         }
     }
 
@@ -188,6 +192,22 @@ pub(crate) mod tests {
         fly(&mut vehicle, 1.0, 1.3, Some(Vector::new(5.0, 1.0, 0.0)));
         let up = vehicle.world_from_body().rotation * Vector::new(0.0, 0.0, 1.0);
         assert!(up.dot(Vector::new(5.0, 1.0, 0.0)) > 0.5, "{up:?}");
+    }
+
+    #[test]
+    fn told_to_go_on_down_at_the_ground_it_has_landed_and_may_take_off_again() {
+        let mut vehicle = Vehicle::new(CONFIG, Point::new(0.0, 0.0, 0.075), 0.0);
+        for round in 0..2 {
+            let from_s = f64::from(round) * 10.0;
+            fly(&mut vehicle, from_s, from_s + 2.0, Some(Vector::new(0.0, 0.0, 1.0)));
+            assert!(vehicle.airborne() && vehicle.position().z > 1.0);
+            for tick in 0..1000 {
+                let now = FlightTime::from_secs_f64(from_s + 2.0 + f64::from(tick) * 0.005);
+                vehicle.command(now, Vector::new(0.0, 0.0, -0.5), 0.0);
+                vehicle.step(now, 0.005, 0.0, Vector::ZERO);
+            }
+            assert!(!vehicle.airborne() && vehicle.position().z == 0.075 && vehicle.velocity() == Vector::ZERO);
+        }
     }
 
     #[test]

@@ -12,7 +12,7 @@ mod policy;
 mod summary;
 mod supervision;
 
-pub use mission::{ATTENTION, HomeConfig, Mission, MissionConfig, Outcome};
+pub use mission::{ATTENTION, AtGoal, HomeConfig, Mission, MissionConfig, Outcome};
 pub use policy::{Decision, Policy, RestartRule};
 pub use summary::{LatencySummary, Losses, ProcessSummary, Summary};
 pub use supervision::{ChildCommand, ChildState, ChildStatus, Happening, SignalWatch, Supervision, SupervisionError};

@@ -3,7 +3,7 @@
 use crate::summary::{Recorder, Summary};
 use ipc_types::bounds::Bounds;
 use ipc_types::limits::Fence;
-use ipc_types::messages::{Health, PlanMode, Trajectory, VehicleState, WorldTruth};
+use ipc_types::messages::{Health, PlanMode, Task, Trajectory, VehicleState, WorldTruth};
 use ipc_types::topics::{
     DepthFrames, Disparity, Expanded, Goals, HealthReports, Keyframes, Plan, Setpoints, State, StereoFrames, Truth,
 };
@@ -23,16 +23,30 @@ pub struct HomeConfig {
     pub height_m: f64,
 }
 
+/// What ends a mission.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum AtGoal {
+    /// Hovering.
+    Hover,
+    /// Landing: whoever asks for it declares the column below the goal free.
+    Land,
+}
+
 /// Where to fly.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MissionConfig {
     /// Take-off place (x, y), m.
     pub start_m: [f64; 2],
     /// Heading at take-off, degrees from east.
     pub start_heading_deg: f64,
+    /// Places to pass on the way (x, y, z), m.
+    pub waypoints_m: Vec<[f64; 3]>,
     /// Where to hover at last (x, y, z), m.
     pub goal_m: [f64; 3],
+    /// Whether to hover or to land there.
+    pub at_goal: AtGoal,
     /// Highest speed on the way, m/s.
     pub cruise_speed_mps: f64,
     /// Height to fly at above the take-off place, m.
@@ -49,6 +63,7 @@ impl MissionConfig {
     /// Reports values out of range.
     pub fn check(&self, bounds: &mut Bounds) {
         self.start_m.iter().for_each(|&value| bounds.range("start_m", value, -1e5..=1e5));
+        self.waypoints_m.iter().flatten().for_each(|&value| bounds.range("waypoints_m", value, -1e5..=1e5));
         self.goal_m.iter().for_each(|&value| bounds.range("goal_m", value, -1e5..=1e5));
         bounds.range("start_heading_deg", self.start_heading_deg, -360.0..=360.0);
         bounds.range("cruise_speed_mps", self.cruise_speed_mps, 0.2..=20.0);
@@ -73,17 +88,24 @@ impl MissionConfig {
         );
         bounds.range("time_limit_s", self.time_limit_s, 1.0..=36_000.0);
         bounds.section("fence", |bounds| self.fence.check(bounds));
-        let inside = self.fence.contains(Point::from_array(self.goal_m));
-        bounds.require(
-            inside,
-            "goal_m",
-            format_args!("is {:?}, must lie inside the fence {:?}", self.goal_m, self.fence),
-        );
+        let places = self.waypoints_m.iter().map(|place| ("waypoints_m", place)).chain([("goal_m", &self.goal_m)]);
+        for (name, place) in places {
+            bounds.require(
+                self.fence.contains(Point::from_array(*place)),
+                name,
+                format_args!("is {place:?}, must lie inside the fence {:?}", self.fence),
+            );
+        }
     }
 
     /// Take-off place, at ground level zero.
     pub fn start(&self) -> Point<World> {
         Point::new(self.start_m[0], self.start_m[1], 0.0)
+    }
+
+    /// Places that the way leads to, in order: the waypoints, then the goal.
+    pub fn places(&self) -> impl Iterator<Item = Point<World>> {
+        self.waypoints_m.iter().chain([&self.goal_m]).map(|&place| Point::from_array(place))
     }
 
     /// The goal.
@@ -96,7 +118,7 @@ impl MissionConfig {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Outcome {
-    /// Hovers within a metre of the goal.
+    /// Hovers within a metre of the goal, or has landed there.
     Arrived,
     /// Touched something.
     Collided,
@@ -118,6 +140,8 @@ const HOVERING_MPS: f64 = 0.3;
 const HOVERING_FOR: Duration = Duration::from_secs(1);
 /// Longest time between two looks at the topics: images wait in none of them.
 pub const ATTENTION: Duration = Duration::from_millis(10);
+/// A waypoint is passed this close, m: near enough to go on to the next one without slowing down for it.
+const PASSED_M: f64 = 2.5;
 /// Between goal messages.
 const GOAL_INTERVAL: Duration = Duration::from_millis(500);
 
@@ -126,6 +150,8 @@ const GOAL_INTERVAL: Duration = Duration::from_millis(500);
 pub struct Mission {
     config: MissionConfig,
     next_goal: FlightTime,
+    /// Waypoints passed.
+    passed: usize,
     now: FlightTime,
     hovering_since: Option<FlightTime>,
     given_up_since: Option<FlightTime>,
@@ -145,6 +171,7 @@ impl Mission {
             recorder: Recorder::new(),
             config,
             next_goal: FlightTime::ZERO,
+            passed: 0,
             now: FlightTime::ZERO,
             hovering_since: None,
             given_up_since: None,
@@ -208,13 +235,19 @@ impl Mission {
         self.recorder.truth(&truth);
         let position = Point::<World>::from_array(truth.position_m);
         let speed = Vector::<World>::from_array(truth.velocity_mps).norm();
-        let hovers = position.distance(self.config.goal()) < ARRIVED_M && speed < HOVERING_MPS;
+        let off = position - self.config.goal();
+        let is_last = self.passed == self.config.waypoints_m.len();
+        let ends = is_last && speed < HOVERING_MPS;
         let lasting = |since: &mut Option<FlightTime>, holds: bool| {
             *since = if holds { since.or(Some(now)) } else { None };
             since.is_some_and(|since| now.saturating_since(since) >= HOVERING_FOR)
         };
         let mode = self.plan_mode();
-        let arrived = lasting(&mut self.hovering_since, hovers && mode == PlanMode::Arrived);
+        let has_arrived = match self.config.at_goal {
+            AtGoal::Hover => mode == PlanMode::Arrived && off.norm() < ARRIVED_M,
+            AtGoal::Land => mode == PlanMode::Landed && off.horizontal_norm() < ARRIVED_M && truth.airborne == 0,
+        };
+        let arrived = lasting(&mut self.hovering_since, ends && has_arrived);
         let gave_up = lasting(&mut self.given_up_since, mode == PlanMode::GivenUp && speed < HOVERING_MPS);
         let ended = [
             (truth.collided != 0, Outcome::Collided),
@@ -226,6 +259,29 @@ impl Mission {
             self.end(outcome);
         }
         self.truth = Some(truth);
+    }
+
+    /// Publishes the next place, at once when one was passed.
+    fn say_where_to(&mut self, ports: &mut impl Ports) {
+        let (at, waypoints) = (self.state.map(|state| state.position()), &self.config.waypoints_m);
+        let is_passed = |waypoint: &[f64; 3]| at.is_some_and(|at| at.distance(Point::from_array(*waypoint)) < PASSED_M);
+        if waypoints.get(self.passed).is_some_and(is_passed) {
+            self.passed += 1;
+            self.next_goal = self.now;
+        }
+        if self.now < self.next_goal {
+            return;
+        }
+        self.next_goal = self.now + GOAL_INTERVAL;
+        let (waypoint, config) = (waypoints.get(self.passed), &self.config);
+        let task = match config.at_goal {
+            AtGoal::Land if waypoint.is_none() => Task::Land,
+            _ => Task::Hover,
+        };
+        ports.publish::<Goals>(self.now, 0, |goal, _| {
+            goal.position_m = *waypoint.unwrap_or(&config.goal_m);
+            (goal.cruise_speed_mps, goal.task) = (config.cruise_speed_mps, task as u32);
+        });
     }
 
     /// Follows an image through the stages by its exposure.
@@ -267,13 +323,7 @@ impl Process for Mission {
 
     fn step<P: Ports>(&mut self, ports: &mut P) -> Report {
         self.now = ports.now();
-        if self.now >= self.next_goal {
-            self.next_goal = self.now + GOAL_INTERVAL;
-            let config = self.config;
-            ports.publish::<Goals>(self.now, 0, |goal, _| {
-                (goal.position_m, goal.cruise_speed_mps) = (config.goal_m, config.cruise_speed_mps);
-            });
-        }
+        self.say_where_to(ports);
         self.time_stages(ports);
         while let Some(plan) = ports.receive::<Plan>() {
             self.recorder.plan(plan.header());

@@ -3,7 +3,7 @@
 use crate::mission::{MissionConfig, Outcome};
 use crate::supervision::ChildStatus;
 use hdrhistogram::Histogram;
-use ipc_types::messages::{Health, Setpoint, Trajectory, WorldTruth};
+use ipc_types::messages::{Health, Setpoint, SetpointMode, Trajectory, WorldTruth};
 use ipc_types::wire::Stamp;
 use ipc_types::{FlightTime, Point, ProcessId, Vector, World};
 use serde::Serialize;
@@ -32,6 +32,8 @@ pub struct Summary {
     pub cruise_speed_mps: f64,
     /// Plans chosen anew.
     pub replans: u64,
+    /// Setpoints that were recorded, not followed, because a pilot flew.
+    pub shadow_setpoints: u64,
     /// Stereo pairs published.
     pub frames: u64,
     /// Stereo pairs that led to no map.
@@ -131,6 +133,7 @@ pub struct Recorder {
     /// Publication by exposure, of the last few images: the previous stage's is where the next one's time begins.
     publications: BTreeMap<i64, [Option<i64>; STAGES.len()]>,
     commanded: i64,
+    shadow_setpoints: u64,
     frames: u64,
     maps: u64,
     path_length_m: f64,
@@ -151,6 +154,7 @@ impl Recorder {
             exposure_to_command: histogram(),
             publications: BTreeMap::new(),
             commanded: 0,
+            shadow_setpoints: 0,
             frames: 0,
             maps: 0,
             path_length_m: 0.0,
@@ -202,6 +206,7 @@ impl Recorder {
     }
 
     pub(crate) fn setpoint(&mut self, setpoint: &Setpoint) {
+        self.shadow_setpoints += u64::from(SetpointMode::from_wire(setpoint.mode) == SetpointMode::Shadow);
         if setpoint.image_valid_ns > self.commanded {
             self.commanded = setpoint.image_valid_ns;
             record(&mut self.exposure_to_command, setpoint.stamp.published_ns - setpoint.image_valid_ns);
@@ -265,6 +270,7 @@ impl Recorder {
             mean_speed_mps: if self.airborne_s > 0.0 { self.path_length_m / self.airborne_s } else { 0.0 },
             cruise_speed_mps: self.cruise_speed_mps,
             replans: plan.map_or(0, |plan| plan.replans),
+            shadow_setpoints: self.shadow_setpoints,
             frames: self.frames,
             frames_without_map: self.frames.saturating_sub(self.maps),
             stages: self

@@ -1,0 +1,33 @@
+//! A pilot who takes over from the vehicle's own commands, and hands back.
+
+use ipc_types::bounds::Bounds;
+use ipc_types::{FlightTime, Vector, World};
+use serde::{Deserialize, Serialize};
+
+/// A stretch that a pilot flies.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Piloted {
+    /// Takes over at this flight time, s.
+    pub from_s: f64,
+    /// Flies for so long, s.
+    pub for_s: f64,
+    /// World velocity that the sticks ask for, m/s.
+    pub velocity_mps: [f64; 3],
+}
+
+impl Piloted {
+    /// Reports values out of range.
+    pub fn check(&self, bounds: &mut Bounds) {
+        bounds.range("from_s", self.from_s, 0.0..=36_000.0);
+        bounds.range("for_s", self.for_s, 0.0..=36_000.0);
+        self.velocity_mps.iter().for_each(|&velocity| bounds.range("velocity_mps", velocity, -30.0..=30.0));
+    }
+}
+
+/// What a pilot's sticks ask for at an instant; `None` while the vehicle flies itself. Of stretches that overlap the first.
+pub(crate) fn sticks(pilot: &[Piloted], now: FlightTime) -> Option<Vector<World>> {
+    let now_s = now.as_secs_f64();
+    let flies = |piloted: &&Piloted| (piloted.from_s..piloted.from_s + piloted.for_s).contains(&now_s);
+    pilot.iter().find(flies).map(|piloted| Vector::from_array(piloted.velocity_mps))
+}
