@@ -43,7 +43,7 @@ impl Case {
 }
 
 /// The table's columns: the fields of [`Row`], in order.
-const COLUMNS: [&str; 26] = [
+const COLUMNS: [&str; 27] = [
     "config",
     "world",
     "cruise_mps",
@@ -56,6 +56,7 @@ const COLUMNS: [&str; 26] = [
     "flight_time_s",
     "straight_line_m",
     "path_length_m",
+    "mean_deviation_m",
     "distance_to_goal_m",
     "mean_speed_mps",
     "max_speed_mps",
@@ -87,6 +88,8 @@ pub(crate) struct Row {
     pub(crate) flight_time_s: f64,
     pub(crate) straight_line_m: f64,
     pub(crate) path_length_m: f64,
+    /// Mean distance of the path from the straight line.
+    pub(crate) mean_deviation_m: f64,
     pub(crate) distance_to_goal_m: f64,
     pub(crate) mean_speed_mps: f64,
     pub(crate) max_speed_mps: f64,
@@ -121,6 +124,7 @@ impl Row {
             flight_time_s: summary.flight_time_s,
             straight_line_m: summary.straight_line_m,
             path_length_m: summary.path_length_m,
+            mean_deviation_m: summary.mean_deviation_m,
             distance_to_goal_m: summary.distance_to_goal_m,
             mean_speed_mps: summary.mean_speed_mps,
             max_speed_mps: summary.max_speed_mps,
@@ -285,7 +289,7 @@ fn quantile(mut values: Vec<f64>, share: f64) -> f64 {
 }
 
 /// Headings of the digest.
-const HEADINGS: [&str; 14] = [
+const HEADINGS: [&str; 15] = [
     "flight",
     "world",
     "m/s",
@@ -297,13 +301,14 @@ const HEADINGS: [&str; 14] = [
     "time s",
     "mean m/s",
     "path/straight",
+    "beside m",
     "clearance m",
     "planning ms",
     "replans",
 ];
 const NOTES: &str =
     "collided: in brackets the most that it may be, with 95 % confidence. stuck: gave up or out of time.
-time, mean speed and path: medians of those that arrived. clearance: least, median. planning: medians of the flights'
+time, mean speed, path: medians of those that arrived; so is how far beside the straight line they flew. clearance: least, median. planning: medians of the flights'
 medians and 99th percentiles, and the longest of all, with all cores flying. replans: median.
 ";
 
@@ -316,9 +321,9 @@ pub(crate) fn digest(rows: &[&Row]) -> String {
         let key = (&row.config, &row.world, numbers, row.avoidance, row.without);
         groups.entry(key).or_default().push(row);
     }
-    let lines: Vec<[String; 14]> = groups.values().map(|rows| line(rows)).collect();
+    let lines: Vec<[String; 15]> = groups.values().map(|rows| line(rows)).collect();
     let headings = HEADINGS.map(str::to_owned);
-    let all: Vec<&[String; 14]> = std::iter::once(&headings).chain(&lines).collect();
+    let all: Vec<&[String; 15]> = std::iter::once(&headings).chain(&lines).collect();
     let wide = |column: usize| all.iter().map(|line| line[column].chars().count()).max().unwrap_or_default();
     let mut text = String::new();
     for line in &all {
@@ -330,7 +335,7 @@ pub(crate) fn digest(rows: &[&Row]) -> String {
 }
 
 /// The digest of flights that differ in their seeds alone.
-fn line(rows: &[&Row]) -> [String; 14] {
+fn line(rows: &[&Row]) -> [String; 15] {
     let count = |is: fn(Outcome) -> bool| rows.iter().filter(|row| is(row.outcome)).count();
     let arrived = count(|outcome| outcome == Outcome::Arrived);
     let collided = count(|outcome| outcome == Outcome::Collided);
@@ -357,6 +362,7 @@ fn line(rows: &[&Row]) -> [String; 14] {
         median_of_arrived(|row| row.flight_time_s),
         median_of_arrived(|row| row.mean_speed_mps),
         median_of_arrived(|row| row.path_length_m / row.straight_line_m),
+        median_of_arrived(|row| row.mean_deviation_m),
         format!("{}, {}", clearance(0.0), clearance(0.5)),
         format!(
             "{:.1}, {:.1}, {:.1}",
@@ -395,6 +401,7 @@ mod tests {
             flight_time_s: 20.0,
             straight_line_m: 65.0,
             path_length_m: 78.0,
+            mean_deviation_m: 1.4,
             distance_to_goal_m: 0.1,
             mean_speed_mps: 2.5,
             max_speed_mps: 4.0,

@@ -260,7 +260,13 @@ pub fn report(summary: &Summary, folder: &Path) -> String {
     };
     line("outcome", format!("{outcome}, {:.2} m from the goal", summary.distance_to_goal_m));
     line("flight time", format!("{:.1} s", summary.flight_time_s));
-    line("path", format!("{:.1} m flown, {:.1} m straight", summary.path_length_m, summary.straight_line_m));
+    line(
+        "path",
+        format!(
+            "{:.1} m flown, {:.1} m straight, {:.1} m beside it in the mean",
+            summary.path_length_m, summary.straight_line_m, summary.mean_deviation_m
+        ),
+    );
     line("least clearance", clearance);
     line(
         "speed",

@@ -108,6 +108,18 @@ impl MissionConfig {
         self.waypoints_m.iter().chain([&self.goal_m]).map(|&place| Point::from_array(place))
     }
 
+    /// Distance of a place from the straight line that leads by the waypoints to the goal, seen from above, m.
+    fn deviation_m(&self, place: Point<World>) -> f64 {
+        let (mut from, mut nearest_m) = (self.start(), f64::INFINITY);
+        for to in self.places() {
+            let (way, off) = (to - from, place - from);
+            let share = (off.x * way.x + off.y * way.y) / way.horizontal_norm().powi(2).max(1e-12);
+            nearest_m = nearest_m.min((off - way * share.clamp(0.0, 1.0)).horizontal_norm());
+            from = to;
+        }
+        nearest_m
+    }
+
     /// The goal.
     pub fn goal(&self) -> Point<World> {
         Point::from_array(self.goal_m)
@@ -232,8 +244,8 @@ impl Mission {
 
     fn watch(&mut self, truth: WorldTruth) {
         let now = FlightTime::from_nanos(truth.stamp.valid_ns);
-        self.recorder.truth(&truth);
         let position = Point::<World>::from_array(truth.position_m);
+        self.recorder.truth(&truth, self.config.deviation_m(position));
         let speed = Vector::<World>::from_array(truth.velocity_mps).norm();
         let off = position - self.config.goal();
         let is_last = self.passed == self.config.waypoints_m.len();

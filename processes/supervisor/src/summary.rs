@@ -18,6 +18,8 @@ pub struct Summary {
     pub flight_time_s: f64,
     /// Length of the path flown, m.
     pub path_length_m: f64,
+    /// Mean distance of the path from the straight line that leads by the waypoints to the goal, seen from above, m.
+    pub mean_deviation_m: f64,
     /// Straight line from start to goal, m.
     pub straight_line_m: f64,
     /// Distance from the goal at the end, m.
@@ -137,6 +139,8 @@ pub struct Recorder {
     frames: u64,
     maps: u64,
     path_length_m: f64,
+    /// Sum over the path of its distance from the straight line, m².
+    deviation_m2: f64,
     last: Option<(FlightTime, Point<World>)>,
     window: std::collections::VecDeque<(FlightTime, f64)>,
     airborne_s: f64,
@@ -158,6 +162,7 @@ impl Recorder {
             frames: 0,
             maps: 0,
             path_length_m: 0.0,
+            deviation_m2: 0.0,
             last: None,
             window: std::collections::VecDeque::new(),
             airborne_s: 0.0,
@@ -213,13 +218,15 @@ impl Recorder {
         }
     }
 
-    pub(crate) fn truth(&mut self, truth: &WorldTruth) {
+    /// `off_m`: distance from the straight line.
+    pub(crate) fn truth(&mut self, truth: &WorldTruth, off_m: f64) {
         let (now, position) = (FlightTime::from_nanos(truth.stamp.valid_ns), Point::from_array(truth.position_m));
         let speed = Vector::<World>::from_array(truth.velocity_mps).norm();
         self.max_speed_mps = self.max_speed_mps.max(speed);
         if truth.airborne != 0 {
             if let Some((before, from)) = self.last {
                 self.path_length_m += from.distance(position);
+                self.deviation_m2 += from.distance(position) * off_m;
                 self.airborne_s += now.seconds_since(before);
             }
             // Beyond what the simulator measures there is nothing to report.
@@ -263,6 +270,7 @@ impl Recorder {
             outcome,
             flight_time_s: self.last.map_or(now, |(at, _)| at).as_secs_f64(),
             path_length_m: self.path_length_m,
+            mean_deviation_m: if self.path_length_m > 0.0 { self.deviation_m2 / self.path_length_m } else { 0.0 },
             straight_line_m: config.start().distance(config.goal()),
             distance_to_goal_m: position.distance(config.goal()),
             min_clearance_m: self.min_clearance_m(),
