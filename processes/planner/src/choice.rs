@@ -63,12 +63,7 @@ pub(crate) enum Course {
     /// There is none.
     None,
     /// Fly it.
-    Go {
-        /// What is flown from now on.
-        flown: Flown,
-        /// Whether it is what was flown, refined or not.
-        continues: bool,
-    },
+    Go(Flown),
     /// Look along its heading, rad, before it may be flown.
     Look(f64),
     /// Look along its heading from farther away.
@@ -84,8 +79,6 @@ pub(crate) struct Priced {
     heading_rad: f64,
     /// Whether the camera does not look there, and the vehicle is slow enough to turn it first.
     turns: bool,
-    /// Whether it is what is being flown, refined or not.
-    continues: bool,
 }
 
 /// What candidates are priced by.
@@ -141,13 +134,13 @@ impl Prices<'_> {
     }
 
     /// Prices a candidate, rolled out; `None` where it hardly moves, or creeps.
-    fn price(&self, index: Index, continues: bool, rollout: &Rollout) -> Option<Priced> {
+    fn price(&self, index: Index, rollout: &Rollout) -> Option<Priced> {
         let (going, end) = (&rollout.samples[..rollout.braking], rollout.end_of_going());
         let from = self.aim.from.position;
         if !self.near_goal && (end.position.distance(from) < WORTHWHILE_M || self.committed_m(going) < self.least_m) {
             return None;
         }
-        let hysteresis_m = if continues { self.config.hysteresis_m } else { 0.0 };
+        let hysteresis_m = if self.is_flying(index) { self.config.hysteresis_m } else { 0.0 };
         let sets_out_at = going[going.len().min((SETS_OUT_S / STEP_S) as usize + 1) - 1].position;
         let sets_out = sets_out_at - from;
         let heading_rad = sets_out.y.atan2(sets_out.x);
@@ -166,7 +159,7 @@ impl Prices<'_> {
             + self.stuck.price(end.position)
             + look_m
             - hysteresis_m;
-        Some(Priced { index, price_m, heading_rad, turns, continues })
+        Some(Priced { index, price_m, heading_rad, turns })
     }
 
     /// Whether the vehicle is slow enough to look before it sets out.
@@ -216,14 +209,14 @@ impl Prices<'_> {
         let size = self.library.size();
         for index in (0..size).chain(matches!(self.flying, Some(Flown::Turn(..))).then_some(size + FLYING)) {
             self.roll_out(self.target(index, refined), scratch);
-            priced.extend(self.price(index, self.is_flying(index), scratch));
+            priced.extend(self.price(index, scratch));
         }
         sort(priced);
         let mut begun = 0;
         for from in 0..priced.len() {
             let Target::Turn(turn) = self.target(priced[from].index, refined) else { continue };
             let index = size + FLYING + 1 + refined.len();
-            let Some((turn, cheapest)) = self.refine(turn, index, priced[from], scratch) else { continue };
+            let Some((turn, cheapest)) = self.refine(turn, index, priced[from].price_m, scratch) else { continue };
             refined.push(turn);
             priced.push(cheapest);
             begun += 1;
@@ -235,17 +228,15 @@ impl Prices<'_> {
     }
 
     /// Pattern search (Hooke and Jeeves 1961) from a manoeuvre to a cheaper one; `None` if there is none nearby.
-    /// What is flown may be refined without losing its privilege.
-    fn refine(&self, from: Turn, index: Index, priced: Priced, scratch: &mut Rollout) -> Option<(Turn, Priced)> {
+    fn refine(&self, from: Turn, index: Index, price_m: f64, scratch: &mut Rollout) -> Option<(Turn, Priced)> {
         let (mut turn, mut best, mut step) = (from, None, 1.0);
-        let (mut cheapest_m, continues) = (priced.price_m, self.is_flying(priced.index));
+        let mut cheapest_m = price_m;
         for _ in 0..ROUNDS {
             let mut found = None;
             for change in 0..2 * PARAMETERS {
                 let tried = varied(turn, change, step, self.aim.speed_mps);
                 self.roll_out(Target::Turn(tried), scratch);
-                if let Some(priced) = self.price(index, continues, scratch).filter(|priced| priced.price_m < cheapest_m)
-                {
+                if let Some(priced) = self.price(index, scratch).filter(|priced| priced.price_m < cheapest_m) {
                     cheapest_m = priced.price_m;
                     found = Some((tried, priced));
                 }
@@ -287,9 +278,8 @@ impl Prices<'_> {
                     return Course::Look(heading_rad);
                 }
             } else if admitted {
-                let flown = self.flown(candidate.index, refined);
-                let go = Course::Go { flown, continues: candidate.continues };
-                return if looks { Course::Look(heading_rad) } else { go };
+                let go = || Course::Go(self.flown(candidate.index, refined));
+                return if looks { Course::Look(heading_rad) } else { go() };
             }
             let hides = slow && hidden.is_none() && looked < LOOKS;
             if hides

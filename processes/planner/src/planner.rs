@@ -203,7 +203,7 @@ impl Planner {
                 let mode = if self.step_back(step, from, situation, view) { PlanMode::BackOut } else { PlanMode::Hold };
                 return Plan { tally, ..plan(mode) };
             }
-            Course::Go { .. } => self.stuck.moving(),
+            Course::Go(_) => self.stuck.moving(),
         }
         let follows = self.config.gaze_follows_flight;
         let heading =
@@ -280,11 +280,11 @@ impl Planner {
         let (admission, mut tally) = (Admission::new(view, fence, config), Tally::default());
         deliberation.look(&asked, view, fence);
         let course = deliberation.choose(&asked, &admission, &mut draft.rollout, &mut tally);
-        self.flying = None;
-        if let Course::Go { flown, continues } = course {
-            self.replans += u64::from(!continues);
-            self.flying = Some(flown);
+        let flies = if let Course::Go(flown) = course { Some(flown) } else { None };
+        if flies.is_some() && flies != self.flying {
+            self.replans += 1;
         }
+        self.flying = flies;
         (tally, course)
     }
 
