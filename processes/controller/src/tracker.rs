@@ -323,13 +323,8 @@ mod tests {
             let command = tracker.step(t(now), Some(&state), Some(&reference));
             let mode = if piloted != 0 { SetpointMode::Shadow } else { SetpointMode::Track };
             assert_eq!(command.mode, mode);
-            let from = if tick == 0 {
-                sticks
-            } else if piloted != 0 {
-                sticks
-            } else {
-                before
-            };
+            // From how fast the pilot flies; once he has handed back, from the command before.
+            let from = if piloted != 0 { sticks } else { before };
             assert!((command.velocity - from).norm() <= CONFIG.slew_mps2 * 0.0201, "{tick}: {command:?}");
             before = command.velocity;
         }

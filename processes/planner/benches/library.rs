@@ -2,7 +2,7 @@
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use ipc_types::limits::Fence;
-use ipc_types::messages::{ExpandedLayout, Layers};
+use ipc_types::messages::{ExpandedLayout, Layers, Task};
 use ipc_types::noise::NoiseModel;
 use ipc_types::{FlightTime, Point, StereoRig, Vector, World};
 use memory::{FreeSpace, FreeSpaceRule, Inference, MapModel, View};
@@ -81,6 +81,8 @@ fn bench(criterion: &mut Criterion) {
         yaw_rad: 0.3,
         goal: Point::new(100.0, 0.0, 2.0),
         cruise_mps: CRUISE_MPS,
+        task: Task::Hover,
+        piloted: false,
     };
     let mut group = criterion.benchmark_group("library");
     for size in [20, 100, 300, 500, 2000] {
