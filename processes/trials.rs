@@ -62,6 +62,7 @@ impl Trial {
             start_m: [self.start_m[0], self.start_m[1]],
             start_heading_deg: way[1].atan2(way[0]).to_degrees(),
             goal_m: [self.goal_m[0], self.goal_m[1], self.goal_m[2] - floor_m],
+            waypoints_m: Vec::new(),
             cruise_height_m: height_m,
             home: HomeConfig { radius_m: HOME_RADIUS_M, height_m: height_m + 0.5 },
             ..flight.mission.clone()

@@ -16,8 +16,8 @@ wire! {
         orientation: [f64; 4],
         /// 1 while a pilot flies: the flight control unit does not follow setpoints.
         piloted: u32,
-        /// Always zero.
-        reserved: u32,
+        /// 1 while the flight control unit's land detector says that the vehicle stands on the ground.
+        landed: u32,
     }
 }
 stamped!(VehicleState);

@@ -56,22 +56,21 @@ impl Tracker {
     /// While a pilot flies it says what it would ask for, from where the vehicle is and as fast as it moves, so that nothing
     /// jumps when the pilot hands back.
     pub fn step(&mut self, now: FlightTime, state: Option<&VehicleState>, reference: Option<&Reference>) -> Command {
+        let is_fresh = |state: &&VehicleState| {
+            is_fresh(now, FlightTime::from_nanos(state.stamp.valid_ns), self.config.state_deadline_s)
+                && state.world_from_body().is_some()
+        };
+        let state = state.filter(is_fresh);
         let Some(piloted) = state.filter(|state| state.piloted != 0) else {
             return self.fly(now, state, reference);
         };
-        self.command = if piloted.velocity().is_finite() { piloted.velocity() } else { Vector::ZERO };
-        self.hover_at = None;
+        (self.command, self.hover_at) = (piloted.velocity(), None);
         Command { mode: SetpointMode::Shadow, ..self.fly(now, state, reference) }
     }
 
+    /// `state` is fresh, or there is none.
     fn fly(&mut self, now: FlightTime, state: Option<&VehicleState>, reference: Option<&Reference>) -> Command {
         let config = self.config;
-        // What claims to come from the future is as untrustworthy as what is late.
-        let fresh = |valid: FlightTime, deadline_s: f64| (-0.1..=deadline_s).contains(&now.seconds_since(valid));
-        let state = state.filter(|state| {
-            fresh(FlightTime::from_nanos(state.stamp.valid_ns), config.state_deadline_s)
-                && state.world_from_body().is_some()
-        });
         let Some(state) = state else {
             let mode = if self.commanded_at.is_none() { SetpointMode::Idle } else { SetpointMode::Brake };
             return self.slew(now, Vector::ZERO, config.braking_mps2, 0.0, mode);
@@ -80,10 +79,16 @@ impl Tracker {
             None if self.commanded_at.is_none() => {
                 Command { velocity: Vector::ZERO, yaw_rate_radps: 0.0, mode: SetpointMode::Idle }
             }
-            Some(reference) if reference.mode == PlanMode::Landed => {
-                self.slew(now, Vector::ZERO, config.braking_mps2, 0.0, SetpointMode::Idle)
+            // On the ground it stays there, unless it is told to fly.
+            Some(reference)
+                if state.landed != 0
+                    && (reference.mode == PlanMode::Landed
+                        || !is_fresh(now, reference.published, config.trajectory_deadline_s)) =>
+            {
+                (self.command, self.commanded_at) = (Vector::ZERO, Some(now));
+                Command { velocity: Vector::ZERO, yaw_rate_radps: 0.0, mode: SetpointMode::Idle }
             }
-            Some(reference) if fresh(reference.published, config.trajectory_deadline_s) => {
+            Some(reference) if is_fresh(now, reference.published, config.trajectory_deadline_s) => {
                 self.hover_at = None;
                 let (velocity, yaw_rad) = self.track(now, state, &reference.points, reference.start);
                 let mut fence = self.fence;
@@ -183,6 +188,11 @@ impl Tracker {
     }
 }
 
+/// Whether something is no older than its deadline. What claims to come from the future is as untrustworthy as what is late.
+fn is_fresh(now: FlightTime, valid: FlightTime, deadline_s: f64) -> bool {
+    (-0.1..=deadline_s).contains(&now.seconds_since(valid))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -221,7 +231,7 @@ mod tests {
             velocity_mps: [0.0; 3],
             orientation: [1.0, 0.0, 0.0, 0.0],
             piloted: 0,
-            reserved: 0,
+            landed: 0,
         }
     }
 
@@ -334,26 +344,27 @@ mod tests {
 
     #[test]
     fn only_a_landing_goes_below_the_fence_and_what_has_landed_is_still() {
-        let low = Point::new(0.0, 0.0, 0.55);
-        let down = |mode| {
+        // Below the fence, which begins at 0.5 m.
+        let low = Point::new(0.0, 0.0, 0.45);
+        let down = |mode, landed| {
             let mut reference = straight(0.0);
             reference.mode = mode;
             for (index, point) in reference.points.iter_mut().enumerate() {
-                (point.position_m, point.velocity_mps) = ([0.0, 0.0, 0.55 - 0.05 * index as f64], [0.0, 0.0, -0.5]);
+                (point.position_m, point.velocity_mps) = ([0.0, 0.0, 0.45 - 0.05 * index as f64], [0.0, 0.0, -0.5]);
             }
             let mut tracker = Tracker::new(CONFIG, FENCE);
             let commands = (0..20).map(|tick| {
                 let now = 0.02 * f64::from(tick);
-                tracker.step(t(now), Some(&state(now, low, Vector::ZERO)), Some(&reference))
+                let state = VehicleState { landed, ..state(now, low, Vector::ZERO) };
+                tracker.step(t(now), Some(&state), Some(&reference))
             });
             commands.last().expect("commands")
         };
-        assert!(down(PlanMode::Land).velocity.z < -0.4);
-        assert!(
-            down(PlanMode::Cruise).velocity.z > -0.7 * 0.5 - 0.3 && down(PlanMode::Cruise).mode == SetpointMode::Track
-        );
-        let landed = down(PlanMode::Landed);
-        assert_eq!((landed.velocity, landed.mode), (Vector::ZERO, SetpointMode::Idle));
+        assert!(down(PlanMode::Land, 0).velocity.z < -0.4);
+        assert!(down(PlanMode::Cruise, 0).velocity.z >= 0.0, "no deeper");
+        let idle = Command { velocity: Vector::ZERO, yaw_rate_radps: 0.0, mode: SetpointMode::Idle };
+        assert_eq!(down(PlanMode::Landed, 1), idle);
+        assert_eq!(down(PlanMode::Landed, 0).mode, SetpointMode::Track, "in the air nothing is idle");
     }
 
     #[test]

@@ -83,6 +83,7 @@ fn bench(criterion: &mut Criterion) {
         cruise_mps: CRUISE_MPS,
         task: Task::Hover,
         piloted: false,
+        landed: false,
     };
     let mut group = criterion.benchmark_group("library");
     for size in [20, 100, 300, 500, 2000] {

@@ -89,6 +89,7 @@ pub(crate) fn situation(now: f64, position: Point<World>, velocity: Vector<World
         cruise_mps: 4.0,
         task: Task::Hover,
         piloted: false,
+        landed: false,
         image_valid: now,
     }
 }

@@ -22,7 +22,6 @@ mod field;
 mod fixtures;
 mod gaze;
 mod guide;
-mod landing;
 mod library;
 mod map_space;
 mod planner;

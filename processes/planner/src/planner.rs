@@ -7,7 +7,6 @@ use crate::deliberation::{Asked, Deliberation, NEAR_GOAL_M};
 use crate::draft::Draft;
 use crate::emergency;
 use crate::gaze::{Gaze, StepBack};
-use crate::landing::{Landing, SINK_MPS};
 use crate::rollout::{Rollout, Sample, Target};
 use crate::situation::Situation;
 use crate::stuck::{Stage, Stuck};
@@ -47,8 +46,9 @@ pub struct Planner {
     take_off: TakeOff,
     airborne: bool,
     arrived: bool,
-    landing: Option<Landing>,
-    goal: Option<Point<World>>,
+    /// Whether it sinks where it is to land.
+    landing: bool,
+    goal: Option<(Point<World>, Task)>,
     flying: Option<Flown>,
     stuck: Stuck,
     gaze: Gaze,
@@ -60,8 +60,12 @@ pub struct Planner {
 
 /// Distance to the goal at which it counts as reached, m. The rest is closed slowly, as far as it is free.
 const ARRIVED_M: f64 = 0.7;
-/// So near to where it is to land it sinks, m.
+/// So near to where it is to land it sinks, m; farther off it first comes nearer.
 const LAND_WITHIN_M: f64 = 0.4;
+/// Speed of sinking, m/s.
+const SINK_MPS: f64 = 0.5;
+/// So far below itself a sinking vehicle aims, m: far enough not to slow down for it.
+const SINK_AHEAD_M: f64 = 2.0;
 /// Speed of closing the last bit of the way, m/s.
 const SETTLE_MPS: f64 = 0.6;
 /// Speed of backing out, m/s.
@@ -83,7 +87,7 @@ impl Planner {
             take_off,
             airborne: false,
             arrived: false,
-            landing: None,
+            landing: false,
             goal: None,
             flying: None,
             stuck: Stuck::new(),
@@ -102,7 +106,7 @@ impl Planner {
     }
 
     /// Views older than this are to be disregarded: they wall in a vehicle whose way back, by which it came, they forbid. What
-    /// it has seen since, looking all around, is what it goes by.
+    /// it has seen since is what it goes by, and where it has not looked nothing is known.
     pub fn disregards_before(&self) -> FlightTime {
         self.stuck.disregards_before
     }
@@ -134,18 +138,20 @@ impl Planner {
         let ahead_s = start.seconds_since(situation.state_valid).clamp(0.0, 0.5);
         let from = Sample { position: situation.position + situation.velocity * ahead_s, velocity: situation.velocity };
         let plan = |mode| Plan { start, mode, tally: Tally::default() };
-        // Also when this process was restarted in mid-flight.
-        self.airborne |= !self.is_take_off(situation.position);
+        // Also when this process was restarted in mid-flight. From where it took off it may do so again.
+        let is_take_off = self.is_take_off(situation.position);
+        self.airborne = !is_take_off || (self.airborne && !situation.landed);
         if self.stuck.stage == Stage::GivenUp {
             self.brake(from, situation.yaw_rad);
             return plan(PlanMode::GivenUp);
         }
         if situation.task == Task::Stay || situation.is_stale(&self.config) {
-            self.landing.iter_mut().for_each(|landing| landing.wait(situation.now));
             self.brake(from, situation.yaw_rad);
             return plan(PlanMode::Hold);
         }
-        if let Some(mode) = self.land(situation, from) {
+        if situation.task == Task::Land
+            && let Some(mode) = self.land(situation, from)
+        {
             return plan(mode);
         }
         if !self.airborne {
@@ -160,9 +166,8 @@ impl Planner {
             return Plan { mode: self.back_out(situation, from, since, view), ..plan(PlanMode::BackOut) };
         }
         if self.arrived {
-            if situation.task == Task::Land && self.hovers_above(situation) {
-                self.landing = Some(Landing::begin(situation.now));
-            }
+            let is_slow = situation.velocity.norm() < BEST_STOP_MPS;
+            self.landing = situation.task == Task::Land && is_slow && aside_m(situation) < LAND_WITHIN_M;
             self.settle(situation, from, view);
             return plan(PlanMode::Arrived);
         }
@@ -214,38 +219,35 @@ impl Planner {
 
     /// A new goal, or another thing to do there, forgives everything; so does a pilot, who decides for himself.
     fn take_goal(&mut self, situation: &Situation) {
-        let is_new = self.goal.is_none_or(|goal| goal.distance(situation.goal) > 0.05);
+        let is_new = self.goal.is_none_or(|(goal, _)| goal.distance(situation.goal) > 0.05);
         if is_new {
-            self.goal = Some(situation.goal);
             self.deliberation.reset();
-            // The library's candidates are named relative to the goal.
-            self.flying = None;
             self.arrived = false;
         }
-        if is_new || situation.piloted {
+        if is_new || situation.piloted || self.goal.is_none_or(|(_, task)| task != situation.task) {
             self.stuck.reset();
             self.gaze.reset();
+            // The library's candidates are named relative to the goal, and the vehicle is not where they would have led.
+            self.flying = None;
+            self.landing = false;
         }
-        if is_new || situation.piloted || situation.task == Task::Hover {
-            self.landing = None;
-        }
+        self.goal = Some((situation.goal, situation.task));
     }
 
-    /// Whether it is slow enough, and near enough to where it is to land, to sink.
-    fn hovers_above(&self, situation: &Situation) -> bool {
-        let aside = (situation.goal - situation.position).horizontal_norm();
-        aside < LAND_WITHIN_M && situation.velocity.norm() < BEST_STOP_MPS
-    }
-
-    /// Goes on with a landing that has begun.
+    /// On the ground where it is to land it stays there; a landing that has begun goes on, straight down above the goal, within
+    /// the column that whoever commands a landing declares free.
     fn land(&mut self, situation: &Situation, from: Sample) -> Option<PlanMode> {
-        let aim = self.landing.as_mut()?.aim(situation);
-        if self.landing.is_some_and(|landing| landing.has_landed) {
-            // From where it took off it may do so again; elsewhere nothing around it is known.
-            self.airborne = !self.is_take_off(situation.position);
+        let aside_m = aside_m(situation);
+        if situation.landed && aside_m < self.take_off.radius_m {
             self.brake(from, situation.yaw_rad);
             return Some(PlanMode::Landed);
         }
+        self.landing &= aside_m < self.take_off.radius_m;
+        if !self.landing {
+            return None;
+        }
+        let sink_m = if aside_m < LAND_WITHIN_M { SINK_AHEAD_M } else { 0.0 };
+        let aim = Point::new(situation.goal.x, situation.goal.y, situation.position.z - sink_m);
         self.flying = None;
         self.draft.rollout.fill(from, Target::Place(aim, SINK_MPS), 1.0, &self.config);
         self.write_points(situation.yaw_rad, |_| situation.yaw_rad);
@@ -392,6 +394,11 @@ impl Planner {
     fn write_points(&mut self, yaw_rad: f64, heading: impl Fn(Vector<World>) -> f64) {
         self.draft.write(yaw_rad, &self.config, heading);
     }
+}
+
+/// How far the vehicle is from above its goal, m.
+fn aside_m(situation: &Situation) -> f64 {
+    (situation.goal - situation.position).horizontal_norm()
 }
 
 /// The direction of travel, or of the goal while hardly moving.

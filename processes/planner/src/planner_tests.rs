@@ -165,35 +165,102 @@ fn keeps_inside_the_fence() {
         assert!(position.x <= 20.0, "{position:?}");
     }
 }
-#[test]
-fn it_lands_where_it_was_asked_to_and_stays_where_it_is_told_to_stay() {
+/// Follows plans to the ground at a height of 0.1 m, as long as `plan` says what to do at a tick, place and height.
+fn land(
+    planner: &mut Planner,
+    from: (usize, Point<World>),
+    tell: impl Fn(usize, Situation) -> Situation,
+) -> Vec<PlanMode> {
     let view = home_only(200.0);
-    let mut planner = Planner::new(Config { lead_s: 0.0, ..config() }, FENCE, TAKE_OFF, 4.0);
-    let goal = Point::new(8.0, 3.0, 2.0);
-    let (mut position, mut velocity, mut modes) = (Point::ZERO, Vector::ZERO, Vec::new());
-    for tick in 0..300 {
-        // It is told to stay for three seconds on the way, and once while it sinks.
-        let stays = (25..55).contains(&tick) || (1.2..1.4).contains(&position.z) && tick % 2 == 0;
-        let task = if stays { Task::Stay } else { Task::Land };
-        let now = Situation { goal, task, ..situation(f64::from(tick) * 0.1, position, velocity) };
-        let plan = planner.step(&now, &view);
+    let (mut position, mut velocity, mut landed, mut modes) = (from.1, Vector::ZERO, false, Vec::new());
+    for tick in from.0..from.0 + 300 {
+        let now = tell(tick, situation(tick as f64 * 0.1, position, velocity));
+        let plan = planner.step(&Situation { landed, ..now }, &view);
         let next = planner.points().get(1).or(planner.points().last()).expect("a plan has points");
-        let before = position;
+        let is_on_ground = position.z <= 0.1;
         (position, velocity) = (Point::from_array(next.position_m), Vector::from_array(next.velocity_mps));
-        if position.z < 0.1 && plan.mode == PlanMode::Land {
-            // The ground.
+        landed = is_on_ground && velocity.z <= 0.0;
+        if landed {
             (position, velocity) = (Point::new(position.x, position.y, 0.1), Vector::ZERO);
         }
-        assert!(!stays || position.distance(before) < 0.41, "{plan:?}");
+        if now.task == Task::Stay && !now.piloted && tick % 30 > 15 {
+            assert!(velocity.norm() < 0.3, "it stays: {velocity:?}");
+        }
+        if plan.mode == PlanMode::Land {
+            assert!((position - now.goal).horizontal_norm() < 1.0, "above where it lands: {position:?}");
+        }
         if modes.last() != Some(&plan.mode) {
             modes.push(plan.mode);
         }
     }
+    assert_eq!(landed, modes.last() == Some(&PlanMode::Landed), "{modes:?} {position:?}");
+    modes
+}
+
+const LANDING: [PlanMode; 5] =
+    [PlanMode::TakeOff, PlanMode::Cruise, PlanMode::Arrived, PlanMode::Land, PlanMode::Landed];
+
+#[test]
+fn it_lands_where_it_was_asked_to_and_stays_where_it_is_told_to_stay() {
+    let goal = Point::new(8.0, 3.0, 2.0);
+    let mut planner = Planner::new(Config { lead_s: 0.0, ..config() }, FENCE, TAKE_OFF, 4.0);
+    // Told to stay for three seconds on the way: from 3.0 s on.
+    let mut modes = land(&mut planner, (0, Point::ZERO), |tick, now| {
+        let task = if (30..60).contains(&tick) { Task::Stay } else { Task::Land };
+        Situation { goal, task, ..now }
+    });
+    assert!(modes.contains(&PlanMode::Hold), "{modes:?}");
     modes.retain(|mode| *mode != PlanMode::Hold);
     modes.dedup();
-    let expected = [PlanMode::TakeOff, PlanMode::Cruise, PlanMode::Arrived, PlanMode::Land, PlanMode::Landed];
-    assert_eq!(modes, expected);
-    assert!((position - goal).horizontal_norm() < 0.3 && (position.z - 0.1).abs() < 1e-9, "{position:?}");
+    assert_eq!(modes, LANDING);
+    // A pilot who only touches his sticks, and a planner that starts anew, let it stand.
+    for planner in [&mut planner, &mut Planner::new(config(), FENCE, TAKE_OFF, 4.0)] {
+        let standing = Situation {
+            goal,
+            task: Task::Land,
+            landed: true,
+            ..situation(40.0, Point::new(8.0, 3.0, 0.1), Vector::ZERO)
+        };
+        for piloted in [true, false] {
+            assert_eq!(planner.step(&Situation { piloted, ..standing }, &home_only(200.0)).mode, PlanMode::Landed);
+        }
+    }
+}
+
+#[test]
+fn what_has_landed_at_home_may_take_off_again() {
+    let mut planner = Planner::new(Config { lead_s: 0.0, ..config() }, FENCE, TAKE_OFF, 4.0);
+    let home = Point::new(0.0, 0.0, 2.0);
+    let away = Point::new(8.0, 0.0, 2.0);
+    let modes = land(&mut planner, (0, Point::ZERO), |tick, now| {
+        // Away at first, then back.
+        if tick < 60 { Situation { goal: away, ..now } } else { Situation { goal: home, task: Task::Land, ..now } }
+    });
+    assert_eq!(modes.last(), Some(&PlanMode::Landed), "{modes:?}");
+    let modes = land(&mut planner, (300, Point::new(0.0, 0.0, 0.1)), |_, now| Situation {
+        goal: away,
+        task: Task::Land,
+        ..now
+    });
+    assert_eq!(modes, LANDING);
+}
+
+#[test]
+fn a_landing_that_is_carried_off_does_not_go_on_down() {
+    let view = home_only(200.0);
+    let mut planner = Planner::new(Config { lead_s: 0.0, ..config() }, FENCE, TAKE_OFF, 4.0);
+    let goal = Point::new(8.0, 3.0, 2.0);
+    let mut step = |tick: i32, at| {
+        let now = Situation { goal, task: Task::Land, ..situation(f64::from(tick) * 0.1, at, Vector::ZERO) };
+        let mode = planner.step(&now, &view).mode;
+        (mode, planner.points().last().expect("points").position_m[2] - at.z)
+    };
+    step(0, goal);
+    assert_eq!(step(1, goal).0, PlanMode::Land);
+    let (mode, sinks_m) = step(2, goal + Vector::new(0.6, 0.0, -1.0));
+    assert!(mode == PlanMode::Land && sinks_m.abs() < 0.05, "it comes nearer first: {mode} {sinks_m}");
+    let (mode, sinks_m) = step(3, goal + Vector::new(1.5, 0.0, -1.0));
+    assert!(mode != PlanMode::Land && sinks_m > -0.05, "{mode} {sinks_m}");
 }
 
 #[test]

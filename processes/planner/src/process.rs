@@ -111,6 +111,7 @@ impl PlannerProcess {
             cruise_mps: goal.cruise_speed_mps,
             task: Task::from_wire(goal.task),
             piloted: state.piloted != 0,
+            landed: state.landed != 0,
             image_valid,
         })
     }

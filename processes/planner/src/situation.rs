@@ -25,6 +25,8 @@ pub struct Situation {
     pub task: Task,
     /// Whether a pilot flies: plans are made, but not followed.
     pub piloted: bool,
+    /// Whether the vehicle stands on the ground.
+    pub landed: bool,
     /// Exposure of the newest image in the map.
     pub image_valid: FlightTime,
 }

@@ -93,9 +93,9 @@ impl Stuck {
         }
     }
 
-    /// A new goal forgives everything.
+    /// A new goal forgives everything, but what walled the vehicle in is no truer for it.
     pub(crate) fn reset(&mut self) {
-        *self = Self::new();
+        *self = Self { disregards_before: self.disregards_before, ..Self::new() };
     }
 
     /// Notes where the vehicle is. Dithering makes it back out, as being stuck does; a detour that leads nowhere
@@ -185,10 +185,7 @@ impl Stuck {
                     self.way_back = path[to..].to_vec();
                     Stage::BackingOut { since: now }
                 }
-                None => {
-                    self.walled_in(now, config);
-                    Stage::LookingAround { since: now }
-                }
+                None => Stage::LookingAround { since: now },
             };
         }
     }
@@ -223,10 +220,10 @@ impl Stuck {
         Some(next)
     }
 
-    /// There is no way back either, though the vehicle came through: what walls it in was seen wrong, or has moved. From now on
-    /// it goes by what it has seen since it last began to look all around.
-    pub(crate) fn walled_in(&mut self, looked: FlightTime, config: &Config) {
-        self.disregards_before = looked - std::time::Duration::from_secs_f64(look_around_s(config));
+    /// The map forbids the way back, too, though the vehicle came through: what walls it in was seen wrong, or has moved. From
+    /// now on it goes by what it has seen since, and in the time of one turn before it began to back out.
+    pub(crate) fn walled_in(&mut self, backing_out: FlightTime, config: &Config) {
+        self.disregards_before = backing_out - std::time::Duration::from_secs_f64(look_around_s(config));
     }
 
     /// The place to back out to was reached, or was not within a reasonable time.

@@ -25,9 +25,6 @@ const STEP: Duration = Duration::from_millis(5);
 const STEPS_PER_STATE: u64 = 2;
 /// Flight time that may be caught up at once; beyond it flight time slows down instead.
 const LONGEST_CATCH_UP: Duration = Duration::from_millis(50);
-/// Meeting the ground no faster than this, downwards and aside, is touching down; else it is a collision, m/s.
-const TOUCH_DOWN_MPS: f64 = 1.0;
-const TOUCH_DOWN_ASIDE_MPS: f64 = 0.5;
 /// Frames being rendered beyond which flight time waits.
 const FRAMES_IN_WORK: usize = 1;
 
@@ -257,16 +254,18 @@ impl SimulatorProcess {
         if let Some(velocity) = sticks(&self.setup.pilot, now) {
             self.vehicle.command(now, velocity, 0.0);
         }
-        let (before, velocity) = (self.vehicle.world_from_body(), self.vehicle.velocity());
+        let (before, was_airborne) = (self.vehicle.world_from_body(), self.vehicle.airborne());
+        let comes_down = self.vehicle.comes_down();
         let place = self.vehicle.position();
         let ground_m = self.setup.world.ground_height_m(place.x, place.y);
         let wind = self.troubles.wind(STEP.as_secs_f64());
         self.vehicle.step(now, STEP.as_secs_f64(), ground_m, wind);
         let after = self.vehicle.world_from_body();
-        if self.vehicle.airborne() {
+        if self.vehicle.airborne() || was_airborne {
             // The ground counts once the vehicle has cleared it.
             let cleared = place.z - self.setup.start.z > 0.5 || self.collided;
-            let touches_down = -velocity.z < TOUCH_DOWN_MPS && velocity.horizontal_norm() < TOUCH_DOWN_ASIDE_MPS;
+            // On a slope the rim meets it first.
+            let touches_down = comes_down || !self.vehicle.airborne();
             let ground = (cleared || place.distance(self.setup.start) > 1.0) && !touches_down;
             self.collided |= self.collider.collides(before, after, ground);
         }
@@ -281,6 +280,7 @@ impl SimulatorProcess {
         let ratio = self.clock.ratio(now);
         let host_ns = self.host.as_nanos();
         let piloted = sticks(&self.setup.pilot, now).is_some();
+        let landed = u32::from(!self.vehicle.airborne());
         ports.publish::<Clock>(now, 0, |clock, _| {
             (clock.flight_ns, clock.host_ns, clock.rate) = (now.as_nanos(), host_ns, 1.0);
         });
@@ -289,7 +289,7 @@ impl SimulatorProcess {
                 state.position_m = estimate.world_from_body.origin().to_array();
                 state.velocity_mps = estimate.velocity.to_array();
                 state.orientation = estimate.world_from_body.rotation.to_wxyz();
-                state.piloted = u32::from(piloted);
+                (state.piloted, state.landed) = (u32::from(piloted), landed);
             });
         }
         self.clearance = self.collider.clearance(pose);

@@ -41,6 +41,9 @@ impl VehicleConfig {
     }
 }
 
+/// Meeting the ground slower than this, downwards and aside, is touching down, m/s.
+const TOUCH_DOWN_MPS: f64 = 1.0;
+const TOUCH_DOWN_ASIDE_MPS: f64 = 0.5;
 /// Standard gravity, m/s².
 pub(crate) const GRAVITY_MPS2: f64 = 9.80665;
 
@@ -103,9 +106,10 @@ impl Vehicle {
         let resting_m = ground_m + config.hull_height_m / 2.0;
         if self.position.z < resting_m {
             self.position.z = resting_m;
+            let comes_down = self.comes_down();
             self.velocity.z = self.velocity.z.max(0.0);
-            // A flight control unit that is told to go on down cuts its motors.
-            if velocity.z < 0.0 {
+            // A flight control unit that is told to go on down, and has come down gently, cuts its motors.
+            if velocity.z < 0.0 && comes_down {
                 (self.airborne, self.velocity, self.acceleration) = (false, Vector::ZERO, Vector::ZERO);
             }
         }
@@ -125,6 +129,13 @@ impl Vehicle {
             self.yaw_rad,
         );
         Pose { rotation, translation: self.position - Point::ZERO }
+    }
+
+    /// Whether it is told to go down and does so gently: meeting the ground is then no collision.
+    pub(crate) fn comes_down(&self) -> bool {
+        self.setpoint.is_some_and(|(_, velocity, _)| velocity.z < 0.0)
+            && -self.velocity.z < TOUCH_DOWN_MPS
+            && self.velocity.horizontal_norm() < TOUCH_DOWN_ASIDE_MPS
     }
 
     /// True velocity.
@@ -207,6 +218,21 @@ pub(crate) mod tests {
                 vehicle.step(now, 0.005, 0.0, Vector::ZERO);
             }
             assert!(!vehicle.airborne() && vehicle.position().z == 0.075 && vehicle.velocity() == Vector::ZERO);
+        }
+    }
+
+    #[test]
+    fn what_comes_down_hard_or_sideways_has_not_landed() {
+        for command in [Vector::new(0.0, 0.0, -3.0), Vector::new(2.0, 0.0, -0.4)] {
+            let mut vehicle = Vehicle::new(CONFIG, Point::new(0.0, 0.0, 0.075), 0.0);
+            fly(&mut vehicle, 0.0, 6.0, Some(Vector::new(0.0, 0.0, 1.0)));
+            let mut now_s = 6.0;
+            while vehicle.position().z > 0.075 {
+                vehicle.command(FlightTime::from_secs_f64(now_s), command, 0.0);
+                vehicle.step(FlightTime::from_secs_f64(now_s), 0.005, 0.0, Vector::ZERO);
+                now_s += 0.005;
+            }
+            assert!(vehicle.airborne(), "{command:?}");
         }
     }
 

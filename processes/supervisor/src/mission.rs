@@ -120,6 +120,18 @@ impl MissionConfig {
         nearest_m
     }
 
+    /// Length of that line, m.
+    pub(crate) fn straight_line_m(&self) -> f64 {
+        let mut from = self.start();
+        self.places().map(|to| std::mem::replace(&mut from, to).distance(to)).sum()
+    }
+
+    /// Distance of a place from the goal, m; from the column below it, where that is to be landed on.
+    pub(crate) fn to_goal_m(&self, place: Point<World>) -> f64 {
+        let off = self.goal() - place;
+        if self.at_goal == AtGoal::Land { off.horizontal_norm() } else { off.norm() }
+    }
+
     /// The goal.
     pub fn goal(&self) -> Point<World> {
         Point::from_array(self.goal_m)
@@ -247,7 +259,6 @@ impl Mission {
         let position = Point::<World>::from_array(truth.position_m);
         self.recorder.truth(&truth, self.config.deviation_m(position));
         let speed = Vector::<World>::from_array(truth.velocity_mps).norm();
-        let off = position - self.config.goal();
         let is_last = self.passed == self.config.waypoints_m.len();
         let ends = is_last && speed < HOVERING_MPS;
         let lasting = |since: &mut Option<FlightTime>, holds: bool| {
@@ -256,9 +267,9 @@ impl Mission {
         };
         let mode = self.plan_mode();
         let has_arrived = match self.config.at_goal {
-            AtGoal::Hover => mode == PlanMode::Arrived && off.norm() < ARRIVED_M,
-            AtGoal::Land => mode == PlanMode::Landed && off.horizontal_norm() < ARRIVED_M && truth.airborne == 0,
-        };
+            AtGoal::Hover => mode == PlanMode::Arrived,
+            AtGoal::Land => mode == PlanMode::Landed && truth.airborne == 0,
+        } && self.config.to_goal_m(position) < ARRIVED_M;
         let arrived = lasting(&mut self.hovering_since, ends && has_arrived);
         let gave_up = lasting(&mut self.given_up_since, mode == PlanMode::GivenUp && speed < HOVERING_MPS);
         let ended = [
@@ -275,7 +286,8 @@ impl Mission {
 
     /// Publishes the next place, at once when one was passed.
     fn say_where_to(&mut self, ports: &mut impl Ports) {
-        let (at, waypoints) = (self.state.map(|state| state.position()), &self.config.waypoints_m);
+        let in_flight = self.state.filter(|state| state.landed == 0);
+        let (at, waypoints) = (in_flight.map(|state| state.position()), &self.config.waypoints_m);
         let is_passed = |waypoint: &[f64; 3]| at.is_some_and(|at| at.distance(Point::from_array(*waypoint)) < PASSED_M);
         if waypoints.get(self.passed).is_some_and(is_passed) {
             self.passed += 1;

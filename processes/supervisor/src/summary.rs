@@ -20,9 +20,9 @@ pub struct Summary {
     pub path_length_m: f64,
     /// Mean distance of the path from the straight line that leads by the waypoints to the goal, seen from above, m.
     pub mean_deviation_m: f64,
-    /// Straight line from start to goal, m.
+    /// That line's length, m.
     pub straight_line_m: f64,
-    /// Distance from the goal at the end, m.
+    /// Distance from the goal at the end, m; if it was to land there, from above it.
     pub distance_to_goal_m: f64,
     /// Least distance from the hull to an obstacle, m; absent when it never came within 5 m.
     pub min_clearance_m: Option<f64>,
@@ -271,8 +271,8 @@ impl Recorder {
             flight_time_s: self.last.map_or(now, |(at, _)| at).as_secs_f64(),
             path_length_m: self.path_length_m,
             mean_deviation_m: if self.path_length_m > 0.0 { self.deviation_m2 / self.path_length_m } else { 0.0 },
-            straight_line_m: config.start().distance(config.goal()),
-            distance_to_goal_m: position.distance(config.goal()),
+            straight_line_m: config.straight_line_m(),
+            distance_to_goal_m: config.to_goal_m(position),
             min_clearance_m: self.min_clearance_m(),
             max_speed_mps: self.max_speed_mps,
             mean_speed_mps: if self.airborne_s > 0.0 { self.path_length_m / self.airborne_s } else { 0.0 },
