@@ -77,7 +77,10 @@ fn command_lines_that_cannot_be() {
     assert!(refused(&run, &["fly", "--config", "nowhere.ron"]).contains("nowhere.ron"));
     assert!(refused(&run, &["fly", "--run", "a/b"]).contains("run name"));
     assert!(refused(&run, &["fly", "--run", "a-name-that-is-far-too-long-for-a-socket"]).contains("24 characters"));
-    assert!(refused(&run, &["fly", "--goal", "1,2"]).contains("three numbers"));
+    assert!(refused(&run, &["fly", "--goal", "1,2"]).contains("expected 3 numbers"));
+    assert!(refused(&run, &["fly", "--pilot", "1,2,3"]).contains("expected 5 numbers"));
+    assert!(refused(&run, &["fly", "--pilot", "1,-2,0,0,0"]).contains("for_s"));
+    assert!(refused(&run, &["fly", "--waypoint", "1,900,2"]).contains("waypoints_m"));
     assert!(refused(&run, &["fly", "--goal", "500,0,2"]).contains("fence"));
     assert!(refused(&run, &["fly", "--world", "moon"]).contains("moon"));
     fs::create_dir_all(run.path("runs/again")).expect("writable");
