@@ -308,8 +308,9 @@ const HEADINGS: [&str; 15] = [
 ];
 const NOTES: &str =
     "collided: in brackets the most that it may be, with 95 % confidence. stuck: gave up or out of time.
-time, mean speed, path: medians of those that arrived; so is how far beside the straight line they flew. clearance: least, median. planning: medians of the flights'
-medians and 99th percentiles, and the longest of all, with all cores flying. replans: median.
+time, mean speed, path: medians of those that arrived. beside: how far from the straight line they flew in the mean, median.
+clearance: least, median. planning: medians of the flights' medians and 99th percentiles, and the longest of all, with all
+cores flying. replans: median.
 ";
 
 /// What the rows come to: a line for every configuration, world and speed.

@@ -5,6 +5,7 @@ use crate::display::{Display, why_not_ready};
 use crate::draw::Pictures;
 use crate::graph::Flight;
 use crate::graph_config::Member;
+use crate::numbers::parse_numbers;
 use crate::run_files::{CONFIG, RunFiles, VERSION, fresh_name};
 use crate::troubles::TroubleArguments;
 use clap::Args;
@@ -81,13 +82,6 @@ pub(crate) struct FlyArguments {
     /// Write the summary to this file as well.
     #[arg(long, value_name = "FILE")]
     pub(crate) summary: Option<PathBuf>,
-}
-
-fn parse_numbers<const COUNT: usize>(text: &str) -> Result<[f64; COUNT], String> {
-    let expected = || format!("is \"{text}\", expected {COUNT} numbers, separated by commas");
-    let values: Vec<f64> =
-        text.split(',').map(|value| value.trim().parse()).collect::<Result<_, _>>().map_err(|_| expected())?;
-    values.try_into().map_err(|_| expected())
 }
 
 fn piloted(&[from_s, for_s, x, y, z]: &[f64; 5]) -> Piloted {
@@ -277,7 +271,7 @@ pub fn report(summary: &Summary, folder: &Path) -> String {
     );
     line("replans", summary.replans.to_string());
     if summary.shadow_setpoints > 0 {
-        line("pilot", format!("flew for {} setpoints, recorded and not followed", summary.shadow_setpoints));
+        line("pilot", format!("{} setpoints recorded and not followed, while he flew", summary.shadow_setpoints));
     }
     line("stereo pairs", format!("{}, of which {} led to no map", summary.frames, summary.frames_without_map));
     line("lost messages", losses(summary));

@@ -30,6 +30,7 @@ pub mod graph;
 pub mod graph_config;
 mod map;
 mod noise_plot;
+mod numbers;
 mod picture;
 pub mod posed_sequence;
 mod replay;

@@ -1,6 +1,7 @@
 //! What a replay plays: image files, a sequence of them, or a live camera; and the geometry that goes with it.
 
 use crate::config::FlightConfig;
+use crate::numbers::parse_numbers;
 use clap::{Args, ValueEnum};
 use ipc_types::StereoRig;
 use ipc_types::noise::NoiseModel;
@@ -61,7 +62,7 @@ pub(crate) struct InputArguments {
     #[arg(long, value_name = "M", requires = "focal")]
     baseline: Option<f64>,
     /// Principal point, px: x,y. The image's centre if not given.
-    #[arg(long, value_name = "X,Y", value_parser = parse_pair)]
+    #[arg(long, value_name = "X,Y", value_parser = parse_numbers::<2>)]
     centre: Option<[f64; 2]>,
     /// Difference of the principal points' columns, px.
     #[arg(long, value_name = "PX", default_value_t = 0.0, allow_hyphen_values = true)]
@@ -82,12 +83,6 @@ enum SourceName {
     Stereo,
     Depth,
     Disparity,
-}
-
-fn parse_pair(text: &str) -> Result<[f64; 2], String> {
-    let values: Result<Vec<f64>, _> = text.split(',').map(|value| value.trim().parse()).collect();
-    let expected = || format!("is \"{text}\", expected two numbers x,y");
-    values.map_err(|_| expected())?.try_into().map_err(|_| expected())
 }
 
 fn parse_size(text: &str) -> Result<(u32, u32), String> {

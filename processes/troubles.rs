@@ -1,5 +1,6 @@
 //! Troubles of simulated flights, from the command line.
 
+use crate::numbers::parse_numbers;
 use clap::Args;
 use simulator::Trouble;
 
@@ -7,7 +8,7 @@ use simulator::Trouble;
 #[derive(Clone, Debug, Args)]
 pub(crate) struct TroubleArguments {
     /// Mean wind, towards east and north, m/s.
-    #[arg(long, value_name = "X,Y", value_parser = parse_pair, allow_hyphen_values = true, help_heading = "Trouble")]
+    #[arg(long, value_name = "X,Y", value_parser = parse_numbers::<2>, allow_hyphen_values = true, help_heading = "Trouble")]
     wind: Option<[f64; 2]>,
     /// Gusts: standard deviation along each axis, m/s.
     #[arg(long, value_name = "M/S", default_value_t = 0.0, help_heading = "Trouble")]
@@ -16,10 +17,10 @@ pub(crate) struct TroubleArguments {
     #[arg(long, value_name = "SHARE", default_value_t = 0.0, help_heading = "Trouble")]
     lost_frames: f64,
     /// No frames from this flight time on, for so long, s.
-    #[arg(long, value_name = "FROM,FOR", value_parser = parse_pair, help_heading = "Trouble")]
+    #[arg(long, value_name = "FROM,FOR", value_parser = parse_numbers::<2>, help_heading = "Trouble")]
     blind: Option<[f64; 2]>,
     /// The position estimate jumps at this flight time, s, by so much to the north, m.
-    #[arg(long, value_name = "AT,BY", value_parser = parse_pair, allow_hyphen_values = true, help_heading = "Trouble")]
+    #[arg(long, value_name = "AT,BY", value_parser = parse_numbers::<2>, allow_hyphen_values = true, help_heading = "Trouble")]
     jump: Option<[f64; 2]>,
     /// The state estimate is late by this much more, ms.
     #[arg(long, value_name = "MS", default_value_t = 0.0, help_heading = "Trouble")]
@@ -38,11 +39,4 @@ impl TroubleArguments {
             lag_ms: self.lag,
         }
     }
-}
-
-fn parse_pair(text: &str) -> Result<[f64; 2], String> {
-    let expected = || format!("is \"{text}\", expected two numbers a,b");
-    let (first, second) = text.split_once(',').ok_or_else(expected)?;
-    let number = |text: &str| text.trim().parse::<f64>().map_err(|_| expected());
-    Ok([number(first)?, number(second)?])
 }

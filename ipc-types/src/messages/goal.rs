@@ -1,4 +1,4 @@
-//! Where to go.
+//! Where to go, and what to do there.
 
 use crate::wire::{Stamp, stamped, wire};
 

@@ -25,7 +25,7 @@ stamped!(Setpoint);
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 #[repr(u32)]
 pub enum SetpointMode {
-    /// On the ground, waiting for a first trajectory.
+    /// On the ground: waiting for a trajectory, or landed.
     Idle = 0,
     /// Tracking a fresh trajectory.
     Track = 1,

@@ -81,6 +81,7 @@ impl Process for ControllerProcess {
         let due = self.next + self.interval;
         self.next = if due > now { due } else { now + self.interval };
         let command = self.tracker.step(now, self.state.as_ref(), self.reference.as_ref());
+        let has_landed = self.reference.as_ref().is_some_and(|reference| reference.mode == PlanMode::Landed);
         let image = self.reference.as_ref().map_or(FlightTime::ZERO, |reference| reference.image);
         ports.publish::<Setpoints>(now, 0, |setpoint, _| {
             setpoint.velocity_mps = command.velocity.to_array();
@@ -90,8 +91,8 @@ impl Process for ControllerProcess {
         });
         match command.mode {
             SetpointMode::Track => self.report.worked(),
-            SetpointMode::Idle if self.reference.is_none() => self.report.degraded("waiting for a trajectory"),
-            SetpointMode::Idle => self.report.worked(),
+            SetpointMode::Idle if has_landed => self.report.worked(),
+            SetpointMode::Idle => self.report.degraded("waiting for a trajectory"),
             SetpointMode::Brake => self.report.degraded("input is stale: braking"),
             SetpointMode::Shadow => self.report.degraded("a pilot flies: commands are not followed"),
             SetpointMode::Hover => self.report.degraded("input is stale: hovering"),

@@ -8,16 +8,19 @@ use ipc_types::messages::{PlanMode, Task};
 use ipc_types::{FlightTime, Point, Vector, World};
 use memory::View;
 
+/// Where a vehicle is, and how fast, a tenth of a second after a plan that it follows exactly and at once.
+fn follow(planner: &Planner) -> (Point<World>, Vector<World>) {
+    let next = planner.points().get(1).or(planner.points().last()).expect("a plan has points");
+    (Point::from_array(next.position_m), Vector::from_array(next.velocity_mps))
+}
+
 /// Follows the planner's own plans, ten a second.
 fn fly(view: &View, seconds: f64) -> (Point<World>, f64, Vec<PlanMode>) {
-    // The plan is followed exactly and at once.
     let mut planner = Planner::new(Config { lead_s: 0.0, ..config() }, FENCE, TAKE_OFF, 4.0);
     let (mut position, mut velocity, mut fastest, mut modes) = (Point::ZERO, Vector::ZERO, 0.0_f64, Vec::new());
     for tick in 0..(seconds * 10.0) as usize {
         let plan = planner.step(&situation(tick as f64 * 0.1, position, velocity), view);
-        let next = planner.points().get(1).or(planner.points().last()).expect("a plan has points");
-        position = Point::from_array(next.position_m);
-        velocity = Vector::from_array(next.velocity_mps);
+        (position, velocity) = follow(&planner);
         fastest = fastest.max(velocity.norm());
         if modes.last() != Some(&plan.mode) {
             modes.push(plan.mode);
@@ -80,8 +83,7 @@ fn a_vehicle_deep_inside_a_margin_leaves_it_by_the_way_it_came() {
     let (mut position, mut velocity, mut modes) = (Point::new(4.5, 0.0, 2.0), Vector::ZERO, Vec::new());
     for tick in 0..300 {
         let plan = planner.step(&situation(f64::from(tick) * 0.1, position, velocity), &view);
-        let next = planner.points().get(1).or(planner.points().last()).expect("a plan has points");
-        (position, velocity) = (Point::from_array(next.position_m), Vector::from_array(next.velocity_mps));
+        (position, velocity) = follow(&planner);
         if modes.last() != Some(&plan.mode) {
             modes.push(plan.mode);
         }
@@ -108,8 +110,7 @@ fn a_vehicle_that_all_views_wall_in_goes_by_what_it_saw_while_it_looked_around()
     for tick in 0..600 {
         let view = if planner.disregards_before() > seen { &fresh } else { &walled_in };
         let plan = planner.step(&situation(f64::from(tick) * 0.1, position, velocity), view);
-        let next = planner.points().get(1).or(planner.points().last()).expect("a plan has points");
-        (position, velocity) = (Point::from_array(next.position_m), Vector::from_array(next.velocity_mps));
+        (position, velocity) = follow(&planner);
         modes.push(plan.mode);
         if position.x < way[30].x - 0.5 {
             break;
@@ -144,28 +145,25 @@ fn goals_that_change_every_frame_or_cannot_be_reached_do_no_harm() {
         planner.step(&situation, &view);
         let last = planner.points().last().expect("a plan has points");
         assert_eq!(last.velocity_mps, [0.0; 3], "it ends at rest");
-        let next = planner.points().get(1).unwrap_or(last);
-        (position, velocity) = (Point::from_array(next.position_m), Vector::from_array(next.velocity_mps));
+        (position, velocity) = follow(&planner);
         assert!(position.x < 4.1 && FENCE.contains(position), "{tick}: {position:?}");
     }
 }
 
 #[test]
 fn keeps_inside_the_fence() {
-    // The plan is followed exactly and at once.
     let config = Config { lead_s: 0.0, ..config() };
     let mut planner = Planner::new(config, Fence { most_m: [20.0, 50.0, 6.0], ..FENCE }, TAKE_OFF, 4.0);
     let view = home_only(200.0);
     let (mut position, mut velocity) = (Point::new(0.0, 0.0, 2.0), Vector::ZERO);
     for tick in 0..200 {
         planner.step(&situation(f64::from(tick) * 0.1, position, velocity), &view);
-        let next = planner.points().get(1).or(planner.points().last()).expect("a plan has points");
-        position = Point::from_array(next.position_m);
-        velocity = Vector::from_array(next.velocity_mps);
+        (position, velocity) = follow(&planner);
         assert!(position.x <= 20.0, "{position:?}");
     }
 }
-/// Follows plans to the ground at a height of 0.1 m, as long as `plan` says what to do at a tick, place and height.
+
+/// Follows plans for half a minute, down to the ground at a height of 0.1 m; `tell` says what to do at a tick.
 fn land(
     planner: &mut Planner,
     from: (usize, Point<World>),
@@ -176,9 +174,8 @@ fn land(
     for tick in from.0..from.0 + 300 {
         let now = tell(tick, situation(tick as f64 * 0.1, position, velocity));
         let plan = planner.step(&Situation { landed, ..now }, &view);
-        let next = planner.points().get(1).or(planner.points().last()).expect("a plan has points");
         let is_on_ground = position.z <= 0.1;
-        (position, velocity) = (Point::from_array(next.position_m), Vector::from_array(next.velocity_mps));
+        (position, velocity) = follow(planner);
         landed = is_on_ground && velocity.z <= 0.0;
         if landed {
             (position, velocity) = (Point::new(position.x, position.y, 0.1), Vector::ZERO);

@@ -31,3 +31,17 @@ pub(crate) fn sticks(pilot: &[Piloted], now: FlightTime) -> Option<Vector<World>
     let flies = |piloted: &&Piloted| (piloted.from_s..piloted.from_s + piloted.for_s).contains(&now_s);
     pilot.iter().find(flies).map(|piloted| Vector::from_array(piloted.velocity_mps))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn he_flies_within_his_stretches_and_of_two_at_a_time_the_first() {
+        let stretch = |from_s, for_s, x| Piloted { from_s, for_s, velocity_mps: [x, 0.0, 0.0] };
+        let pilot = [stretch(2.0, 3.0, 1.0), stretch(4.0, 3.0, 2.0)];
+        let at = |now_s: f64| sticks(&pilot, FlightTime::from_secs_f64(now_s)).map(|velocity| velocity.x);
+        assert_eq!([1.9, 2.0, 4.5, 5.0, 7.0].map(at), [None, Some(1.0), Some(1.0), Some(2.0), None]);
+        assert_eq!(sticks(&[], FlightTime::ZERO), None);
+    }
+}

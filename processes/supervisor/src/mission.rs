@@ -41,7 +41,7 @@ pub struct MissionConfig {
     pub start_m: [f64; 2],
     /// Heading at take-off, degrees from east.
     pub start_heading_deg: f64,
-    /// Places to pass on the way (x, y, z), m.
+    /// Places to pass on the way, within 2.5 m (x, y, z), m.
     pub waypoints_m: Vec<[f64; 3]>,
     /// Where to hover at last (x, y, z), m.
     pub goal_m: [f64; 3],
