@@ -3,7 +3,7 @@
 use crate::tables::Tables;
 use ipc_types::StereoRig;
 use ipc_types::bounds::Bounds;
-use ipc_types::disparity::{NO_MATCH, SCALE, TEXTURELESS, is_valid};
+use ipc_types::disparity::{NO_MATCH, OCCLUDED, SCALE, TEXTURELESS, is_valid};
 use serde::{Deserialize, Serialize};
 
 /// The far-background rule: what a column of textureless pixels that reaches the image's top is worth.
@@ -42,20 +42,30 @@ const RETURNS_BELOW: usize = 4;
 /// Fills runs of codes between two disparities with the nearer of the two, where the run is explained: by at most
 /// `longest` stray pixels, or, along a row, by the shadow that a surface casts in the right image on a farther one to its
 /// left, which is as wide as their disparities differ. What is not explained stays unknown.
+///
+/// What is textured throughout such a shadow has no match because it is hidden, and so lies no nearer than what hides it
+/// there: `k` px to the left of a surface at disparity `d` the right camera is hidden from what has `d − k` at most. Blank
+/// things have no match whether hidden or not, so that a shadow with any of them takes the nearer end.
 pub(crate) fn fill_holes(line: &mut [u16], longest: usize, casts_shadows: bool) {
-    let mut run = 0;
+    let (mut run, mut textured) = (0, 0);
     let mut before = NO_MATCH;
     for index in 0..line.len() {
         let pixel = line[index];
         if !is_valid(pixel) {
             run += 1;
+            textured += usize::from(pixel == OCCLUDED);
             continue;
         }
         let shadow = if casts_shadows { usize::from(pixel.saturating_sub(before)) / SCALE as usize } else { 0 };
         if run > 0 && run <= longest + shadow && is_valid(before) {
-            line[index - run..index].fill(before.max(pixel));
+            let is_hidden = run > longest && textured == run;
+            for (place, hidden) in (1_usize..).zip(line[index - run..index].iter_mut().rev()) {
+                let nearest =
+                    if is_hidden { pixel - (place.saturating_sub(longest) * SCALE as usize) as u16 } else { pixel };
+                *hidden = before.max(nearest);
+            }
         }
-        (run, before) = (0, pixel);
+        (run, textured, before) = (0, 0, pixel);
     }
 }
 
@@ -120,6 +130,23 @@ mod tests {
         fill_holes(&mut line, 3, true);
         assert_eq!(line[1..7], [300; 6]);
         assert_eq!(line[9..13], [0; 4], "no shadow falls to the right");
+    }
+
+    #[test]
+    fn a_shadow_on_something_textured_takes_what_it_can_hide() {
+        let px = |disparity_px: u16| disparity_px * SCALE as u16;
+        let shadowed = |code: u16| {
+            let mut line = [[px(2); 1].as_slice(), &[OCCLUDED; 4], &[code], &[OCCLUDED; 3], &[px(10)]].concat();
+            fill_holes(&mut line, 2, true);
+            line[1..9].iter().map(|pixel| pixel / SCALE as u16).collect::<Vec<_>>()
+        };
+        // From the right: 2 stray pixels of the edge, then one px of disparity less with every pixel.
+        assert_eq!(shadowed(OCCLUDED), [4, 5, 6, 7, 8, 9, 10, 10]);
+        assert_eq!(shadowed(TEXTURELESS), [10; 8], "something blank may stand there");
+        assert_eq!(shadowed(NO_MATCH), [10; 8]);
+        let mut column = [[px(2); 1].as_slice(), &[OCCLUDED; 8], &[px(10)]].concat();
+        fill_holes(&mut column, 2, false);
+        assert_eq!(column[1..9], [OCCLUDED; 8], "no shadow falls upwards");
     }
 
     #[test]

@@ -11,7 +11,7 @@ use crate::camera::generator;
 use crate::render::Renderer;
 use crate::world::World;
 use ipc_types::bounds::Bounds;
-use ipc_types::disparity::{NO_MATCH, TEXTURELESS, encode};
+use ipc_types::disparity::{NO_MATCH, OCCLUDED, TEXTURELESS, encode};
 use ipc_types::{Camera, Point, Pose, StereoRig, World as WorldFrame};
 use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
@@ -30,6 +30,8 @@ pub struct Shares {
     pub beside: f64,
     /// Without enough texture.
     pub textureless: f64,
+    /// Without a match, but with texture right there.
+    pub occluded: f64,
 }
 
 /// The model's parameters.
@@ -75,7 +77,7 @@ impl NoiseCameraConfig {
         bounds.range("patch_px", self.patch_px, 1..=64);
         for (class, shares) in Class::ALL.map(|class| (class.name(), self.shares(class))) {
             bounds.section(class, |bounds| {
-                let all = [shares.measured, shares.beside, shares.textureless];
+                let all = [shares.measured, shares.beside, shares.textureless, shares.occluded];
                 let is_share =
                     all.iter().all(|share| (0.0..=1.0).contains(share)) && all.iter().sum::<f64>() <= 1.0 + 1e-9;
                 bounds.require(is_share, "", format_args!("is {shares:?}, needs shares that add up to 1 at most"));
@@ -181,8 +183,8 @@ pub struct NoiseCamera {
     config: NoiseCameraConfig,
     rig: StereoRig,
     renderer: Renderer,
-    /// By class: below the first it is measured, below the next beside, below the last textureless.
-    limits: [[f32; 3]; CLASSES],
+    /// By class: below the first it is measured, below the next beside, then textureless, below the last occluded.
+    limits: [[f32; 4]; CLASSES],
     truth: Vec<f32>,
     contrast: Vec<f32>,
     classes: Vec<Class>,
@@ -200,8 +202,12 @@ impl NoiseCamera {
         let centre = (rig.cx_px as f32, rig.cy_px as f32);
         let mut random = generator(seed, 7);
         let limits = Class::ALL.map(|class| {
-            let Shares { measured, beside, textureless } = config.shares(class);
-            [measured, measured + beside, measured + beside + textureless].map(normal_quantile)
+            let Shares { measured, beside, textureless, occluded } = config.shares(class);
+            let mut sum = 0.0;
+            [measured, beside, textureless, occluded].map(|share| {
+                sum += share;
+                normal_quantile(sum)
+            })
         });
         Self {
             renderer: Renderer::new(world, width, height, rig.focal_px as f32, centre),
@@ -264,6 +270,8 @@ impl NoiseCamera {
                     self.beside(row, column).map_or(NO_MATCH, |beside| encode(beside + error))
                 } else if decision < limits[2] {
                     TEXTURELESS
+                } else if decision < limits[3] {
+                    OCCLUDED
                 } else {
                     NO_MATCH
                 };
