@@ -1,4 +1,5 @@
-//! Candidates priced at a plan: rolled out, compared with the grid, the cheapest refined. Nothing is asked of the map.
+//! Candidates priced at a plan, by the size of the library and the threads: rolled out, compared with the grid, the cheapest
+//! refined. Nothing is asked of the map.
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use ipc_types::limits::Fence;
@@ -11,7 +12,7 @@ use planner::{Config, LibraryConfig, Planner, RouteConfig, Situation, TakeOff};
 
 const CRUISE_MPS: f64 = 10.0;
 
-fn config(size: u32) -> Config {
+fn config(size: u32, threads: u32) -> Config {
     Config {
         gamma_low: 0.9,
         gamma_high: 1.8,
@@ -43,6 +44,7 @@ fn config(size: u32) -> Config {
         back_out_m: 3.0,
         attempts: 4,
         field_reach_m: 20.0,
+        threads,
         route: RouteConfig { segments: 150, search: SearchConfig { batch: 60, places: 400, neighbours: 24 } },
     }
 }
@@ -86,14 +88,16 @@ fn bench(criterion: &mut Criterion) {
         landed: false,
     };
     let mut group = criterion.benchmark_group("library");
-    for size in [20, 100, 300, 500, 2000] {
-        let mut planner = Planner::new(config(size), fence, take_off, CRUISE_MPS);
-        planner.step(&situation, &view);
-        let candidates = planner.price_candidates(&situation, &view);
-        group.throughput(Throughput::Elements(candidates as u64));
-        group.bench_function(BenchmarkId::new("price", candidates), |bencher| {
-            bencher.iter(|| planner.price_candidates(&situation, &view));
-        });
+    for size in [20, 100, 300, 500, 1000, 2000] {
+        for threads in [1, 2] {
+            let mut planner = Planner::new(config(size, threads), fence, take_off, CRUISE_MPS);
+            planner.step(&situation, &view);
+            let candidates = planner.price_candidates(&situation, &view);
+            group.throughput(Throughput::Elements(candidates as u64));
+            group.bench_function(BenchmarkId::new(format!("{threads} threads"), candidates), |bencher| {
+                bencher.iter(|| planner.price_candidates(&situation, &view));
+            });
+        }
     }
     group.finish();
 }

@@ -2,12 +2,13 @@
 
 use crate::Config;
 use crate::admission::{Admission, Tally};
-use crate::choice::{Candidates, Course, Flown, Priced, Prices, REFINED};
+use crate::choice::Course;
 use crate::field::{Ask, Field};
 use crate::gaze::Gaze;
 use crate::guide::Guide;
 use crate::library::{Aim, Library};
-use crate::rollout::{Rollout, STEP_S, Sample, Turn};
+use crate::pricing::{Flown, Prices, Pricing};
+use crate::rollout::{Rollout, STEP_S, Sample};
 use crate::route::Timing;
 use crate::situation::Situation;
 use crate::stuck::Stuck;
@@ -51,9 +52,7 @@ pub(crate) struct Deliberation {
     /// The grid's way, and its timing.
     way: Vec<Point<World>>,
     timing: Timing,
-    priced: Vec<Priced>,
-    refined: Vec<Turn>,
-    scratch: Rollout,
+    pricing: Pricing,
 }
 
 impl Deliberation {
@@ -64,9 +63,7 @@ impl Deliberation {
             guide: Guide::new(config, fence),
             way: Vec::with_capacity(256),
             timing: Timing::default(),
-            priced: Vec::with_capacity(library.size() + 1 + REFINED),
-            refined: Vec::with_capacity(REFINED),
-            scratch: Rollout::new(),
+            pricing: Pricing::new(library.size(), config.threads as usize),
             library,
         }
     }
@@ -103,26 +100,20 @@ impl Deliberation {
         best: &mut Rollout,
         tally: &mut Tally,
     ) -> Course {
-        self.with(asked, |prices, priced, refined, scratch| {
-            prices.choose(admission, Candidates { priced, refined, scratch, best }, tally)
-        })
+        self.with(asked, |prices, pricing| prices.choose(admission, pricing, best, tally))
     }
 
     /// Prices all candidates, and no more; returns how many. The map was looked at.
     pub(crate) fn price(&mut self, asked: &Asked<'_>) -> usize {
-        self.with(asked, |prices, priced, refined, scratch| {
-            prices.price_all(priced, refined, scratch);
-            priced.len()
+        self.with(asked, |prices, pricing| {
+            prices.price_all(pricing);
+            pricing.priced.len()
         })
     }
 
-    fn with<T>(
-        &mut self,
-        asked: &Asked<'_>,
-        act: impl FnOnce(&Prices<'_>, &mut Vec<Priced>, &mut Vec<Turn>, &mut Rollout) -> T,
-    ) -> T {
+    fn with<T>(&mut self, asked: &Asked<'_>, act: impl FnOnce(&Prices<'_>, &mut Pricing) -> T) -> T {
         let Asked { config, situation, start, from, stuck, gaze, flying, half_view_rad, .. } = *asked;
-        let Self { library, field, guide, timing, priced, refined, scratch, .. } = self;
+        let Self { library, field, guide, timing, pricing, .. } = self;
         let ways = [guide.timed(), timing.timed()];
         let (goal, speed_mps, height_m) = (situation.goal, situation.cruise_mps, keeps_m(asked));
         let heading = |direction: Vector<World>| direction.y.atan2(direction.x);
@@ -146,7 +137,7 @@ impl Deliberation {
             least_m: LEAST_SHARE * config.least_commitment_m(speed_mps),
             half_view_rad,
         };
-        act(&prices, priced, refined, scratch)
+        act(&prices, pricing)
     }
 }
 

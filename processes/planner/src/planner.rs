@@ -2,11 +2,12 @@
 
 use crate::Config;
 use crate::admission::{Admission, Tally};
-use crate::choice::{Course, Flown, STEP_MPS};
+use crate::choice::{Course, STEP_MPS};
 use crate::deliberation::{Asked, Deliberation, NEAR_GOAL_M};
 use crate::draft::Draft;
 use crate::emergency;
 use crate::gaze::{Gaze, StepBack};
+use crate::pricing::Flown;
 use crate::rollout::{Rollout, Sample, Target};
 use crate::situation::Situation;
 use crate::stuck::{Stage, Stuck};

@@ -274,3 +274,23 @@ fn a_pilot_forgives_a_vehicle_that_gave_up() {
     assert_ne!(planner.step(&piloted, &view).mode, PlanMode::GivenUp);
     assert_ne!(planner.step(&situation(now + 0.1, at, Vector::ZERO), &view).mode, PlanMode::GivenUp);
 }
+
+#[test]
+fn plans_do_not_depend_on_the_number_of_threads() {
+    let view = before_a_wall();
+    let plans = |threads: u32| {
+        let mut planner = Planner::new(Config { threads, lead_s: 0.0, ..config() }, FENCE, TAKE_OFF, 4.0);
+        let (mut position, mut velocity, mut places) = (Point::new(-20.0, 0.5, 2.0), Vector::ZERO, Vec::new());
+        for tick in 0..60 {
+            let plan = planner.step(&situation(f64::from(tick) * 0.1, position, velocity), &view);
+            (position, velocity) = follow(&planner);
+            places.push((position, plan.tally));
+        }
+        assert!(position.x > -10.0, "it flies: {position:?}");
+        places
+    };
+    let one = plans(1);
+    for threads in [2, 3, 7] {
+        assert_eq!(plans(threads), one, "{threads} threads");
+    }
+}
