@@ -4,7 +4,7 @@
 mod common;
 
 use common::on_threads;
-use ipc_types::disparity::{OCCLUDED, TEXTURELESS, decode, is_valid};
+use ipc_types::disparity::{TEXTURED, TEXTURELESS, decode, is_valid};
 use ipc_types::{Body, Camera, Pose, Rotation, Vector, World as WorldFrame};
 use simulator::{Class, NoiseCamera, StereoCamera};
 use sparrowhawk::config::FlightConfig;
@@ -23,7 +23,7 @@ const TOLERANCE: f64 = 0.2;
 /// What one of the cameras delivers.
 #[derive(Clone, Debug, Default)]
 struct Tally {
-    /// By class: pixels, measured, wrong, textureless, occluded.
+    /// By class: pixels, measured, wrong, textureless, textured.
     classes: [[usize; 5]; Class::ALL.len()],
     squares: f64,
     right: usize,
@@ -38,7 +38,7 @@ impl Tally {
         for ((&truth, &class), &found) in truth.iter().zip(classes).zip(found) {
             let error = decode(found).map(|found| found - truth);
             let wrong = error.is_some_and(|error| error.abs() > WRONG_PX);
-            let counts = [true, is_valid(found), wrong, found == TEXTURELESS, found == OCCLUDED];
+            let counts = [true, is_valid(found), wrong, found == TEXTURELESS, found == TEXTURED];
             self.classes[class as usize].iter_mut().zip(counts).for_each(|(all, one)| *all += usize::from(one));
             if let Some(error) = error.filter(|_| !wrong && truth > 0.0) {
                 self.squares += f64::from(error * error);
@@ -81,20 +81,27 @@ impl Tally {
     }
 
     /// Shares: measured of what is no sky, wrong of the measured, thin rows missed; correlation of being measured; of what
-    /// is hidden, the part that is known to be.
-    fn figures(&self) -> [f64; 5] {
+    /// is hidden, the part that is textured and unmatched; and of all else but the sky.
+    fn figures(&self) -> [f64; 6] {
         let solid = self.classes.iter().skip(2);
         let sum = |which: usize| solid.clone().map(|class| class[which]).sum::<usize>() as f64;
         let [neither, second, first, both] = self.pairs.map(|count| count as f64);
         let all = (first + both) * (second + both) * (neither + second) * (neither + first);
         let lasting = (both * neither - first * second) / all.sqrt();
-        let [hidden, _, _, _, occluded] = self.classes[Class::Hidden as usize];
-        let known = occluded as f64 / hidden as f64;
-        [sum(1) / sum(0), sum(2) / sum(1), self.thin[1] as f64 / self.thin[0] as f64, lasting, known]
+        let [hidden, _, _, _, textured] = self.classes[Class::Hidden as usize].map(|count| count as f64);
+        let others = (sum(4) - textured) / (sum(0) - hidden);
+        [
+            sum(1) / sum(0),
+            sum(2) / sum(1),
+            self.thin[1] as f64 / self.thin[0] as f64,
+            lasting,
+            textured / hidden,
+            others,
+        ]
     }
 
     fn print(&self, name: &str) {
-        let [density, wrong, missed, lasting, _] = self.figures();
+        let [density, wrong, missed, lasting, ..] = self.figures();
         println!(
             "{name}: density {:.1} %, bad2 {:.2} %, thin missed {:.1} % of {}, correlation {lasting:.3}, sigma {:.3} px",
             100.0 * density,
@@ -103,15 +110,15 @@ impl Tally {
             self.thin[0],
             (self.squares / self.right as f64).sqrt()
         );
-        for (class, [all, measured, wrong, textureless, occluded]) in Class::ALL.iter().zip(self.classes) {
+        for (class, [all, measured, wrong, textureless, textured]) in Class::ALL.iter().zip(self.classes) {
             let share = |part: usize| part as f64 / all.max(1) as f64;
             println!(
-                "  {:9} {all:9} px: measured {:.3}, beside {:.3}, textureless {:.3}, occluded {:.3}",
+                "  {:9} {all:9} px: measured {:.3}, beside {:.3}, textureless {:.3}, textured {:.3}",
                 class.name(),
                 share(measured - wrong),
                 share(wrong),
                 share(textureless),
-                share(occluded)
+                share(textured)
             );
         }
     }
@@ -191,7 +198,7 @@ fn compare(flight: Option<&str>) {
     worlds.iter().for_each(|world| tallies.iter_mut().zip(world).for_each(|(all, one)| all.merge(one)));
     tallies.iter().zip(["rendered", "modelled"]).for_each(|(tally, name)| tally.print(name));
     let [rendered, modelled] = tallies.map(|tally| tally.figures());
-    let names = ["density", "bad2", "thin things missed", "correlation", "hidden things known to be"];
+    let names = ["density", "bad2", "thin things missed", "correlation", "hidden and textured", "others textured"];
     for ((name, rendered), modelled) in names.iter().zip(rendered).zip(modelled) {
         let share = modelled / rendered;
         assert!((share - 1.0).abs() < TOLERANCE, "{name}: {modelled:.4}, rendered {rendered:.4}");

@@ -5,10 +5,10 @@
 //!
 //! | value | meaning |
 //! |---|---|
-//! | [`NO_MATCH`] (0) | no consistent match: ambiguous, outlier, or nobody knows why |
+//! | [`NO_MATCH`] (0) | no consistent match, and little texture right here; or an outlier; or nobody knows why |
 //! | [`TEXTURELESS`] (1) | too little texture to match: clear sky, or a blank wall |
 //! | [`MASKED`] (2) | outside the rectified image, or masked by the vehicle's own structure |
-//! | [`OCCLUDED`] (3) | no consistent match, though there is texture right here: seen by the left camera alone, as a rule |
+//! | [`TEXTURED`] (3) | no consistent match, though there is texture right here: ambiguous, or hidden from the right camera |
 //!
 //! Because every code is smaller than every disparity, "nearest" is `max` without a special case.
 //! Unmatched is never "far": a code grants no free space by itself.
@@ -21,8 +21,9 @@ pub const NO_MATCH: u16 = 0;
 pub const TEXTURELESS: u16 = 1;
 /// Outside the valid image.
 pub const MASKED: u16 = 2;
-/// No consistent match, though there is texture right here: as a rule it is hidden from the right camera.
-pub const OCCLUDED: u16 = 3;
+/// No consistent match, though there is texture right here: no blank surface. Beside a nearer surface, in whose shadow it
+/// lies, it is hidden from the right camera, as a rule.
+pub const TEXTURED: u16 = 3;
 /// Smallest valid disparity (0.25 px). Anything farther is reported as this near, which is the safe side.
 pub const MINIMUM: u16 = 16;
 

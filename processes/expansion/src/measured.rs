@@ -3,7 +3,7 @@
 use crate::tables::Tables;
 use ipc_types::StereoRig;
 use ipc_types::bounds::Bounds;
-use ipc_types::disparity::{NO_MATCH, OCCLUDED, SCALE, TEXTURELESS, is_valid};
+use ipc_types::disparity::{NO_MATCH, SCALE, TEXTURED, TEXTURELESS, is_valid};
 use serde::{Deserialize, Serialize};
 
 /// The far-background rule: what a column of textureless pixels that reaches the image's top is worth.
@@ -43,8 +43,9 @@ const RETURNS_BELOW: usize = 4;
 /// `longest` stray pixels, or, along a row, by the shadow that a surface casts in the right image on a farther one to its
 /// left, which is as wide as their disparities differ. What is not explained stays unknown.
 ///
-/// What is textured throughout such a shadow has no match because it is hidden, and so lies no nearer than what hides it
-/// there: `k` px to the left of a surface at disparity `d` the right camera is hidden from what has `d − k` at most. Blank
+/// What is textured throughout such a shadow has no match because it is hidden, as a rule, and so lies no nearer than what
+/// hides it there: `k` px to the left of a surface at disparity `d` only what has `d − k` at most is hidden from the right
+/// camera. It takes that, with `longest` stray pixels for where the edge is: `d` at first, then `d − (k − longest)`. Blank
 /// things have no match whether hidden or not, so that a shadow with any of them takes the nearer end.
 pub(crate) fn fill_holes(line: &mut [u16], longest: usize, casts_shadows: bool) {
     let (mut run, mut textured) = (0, 0);
@@ -53,7 +54,7 @@ pub(crate) fn fill_holes(line: &mut [u16], longest: usize, casts_shadows: bool) 
         let pixel = line[index];
         if !is_valid(pixel) {
             run += 1;
-            textured += usize::from(pixel == OCCLUDED);
+            textured += usize::from(pixel == TEXTURED);
             continue;
         }
         let shadow = if casts_shadows { usize::from(pixel.saturating_sub(before)) / SCALE as usize } else { 0 };
@@ -114,8 +115,10 @@ pub(crate) fn column_values(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use ipc_types::disparity::encode;
+    use ipc_types::disparity::{MINIMUM, encode};
     use ipc_types::noise::NoiseModel;
+    use rand::{RngExt, SeedableRng};
+    use rand_pcg::Pcg64Mcg;
 
     #[test]
     fn short_holes_take_the_nearer_end_and_long_ones_stay() {
@@ -133,20 +136,47 @@ mod tests {
     }
 
     #[test]
+    fn what_is_filled_lies_between_the_ends_and_never_beyond_what_can_be_hidden() {
+        let mut random = Pcg64Mcg::seed_from_u64(7);
+        for _ in 0..20_000 {
+            let any = |random: &mut Pcg64Mcg| match random.random_range(0..3) {
+                0 => random.random_range(MINIMUM..640),
+                1 => random.random_range(u16::MAX - 640..=u16::MAX),
+                _ => random.random_range(MINIMUM..=u16::MAX),
+            };
+            let (before, after, longest) = (any(&mut random), any(&mut random), random.random_range(0..6_usize));
+            let shadow = usize::from(after.saturating_sub(before) / SCALE as u16);
+            // As long as is explained, one longer, or any.
+            let run = [longest + shadow, longest + shadow + 1, 40][random.random_range(0..3_usize)].min(1100);
+            let mut line = [&[before][..], &vec![TEXTURED; run], &[after]].concat();
+            fill_holes(&mut line, longest, true);
+            for (place, &filled) in (1_usize..).zip(line[1..=run].iter().rev()) {
+                if run > longest + shadow {
+                    assert_eq!(filled, TEXTURED);
+                    continue;
+                }
+                let hidden = i64::from(after) - (place * SCALE as usize) as i64;
+                assert!((before.min(after)..=before.max(after)).contains(&filled), "{before} {filled} {after}");
+                assert!(i64::from(filled) >= hidden, "{place}: {filled}, {hidden}");
+            }
+        }
+    }
+
+    #[test]
     fn a_shadow_on_something_textured_takes_what_it_can_hide() {
         let px = |disparity_px: u16| disparity_px * SCALE as u16;
         let shadowed = |code: u16| {
-            let mut line = [[px(2); 1].as_slice(), &[OCCLUDED; 4], &[code], &[OCCLUDED; 3], &[px(10)]].concat();
+            let mut line = [[px(2); 1].as_slice(), &[TEXTURED; 4], &[code], &[TEXTURED; 3], &[px(10)]].concat();
             fill_holes(&mut line, 2, true);
             line[1..9].iter().map(|pixel| pixel / SCALE as u16).collect::<Vec<_>>()
         };
         // From the right: 2 stray pixels of the edge, then one px of disparity less with every pixel.
-        assert_eq!(shadowed(OCCLUDED), [4, 5, 6, 7, 8, 9, 10, 10]);
+        assert_eq!(shadowed(TEXTURED), [4, 5, 6, 7, 8, 9, 10, 10]);
         assert_eq!(shadowed(TEXTURELESS), [10; 8], "something blank may stand there");
         assert_eq!(shadowed(NO_MATCH), [10; 8]);
-        let mut column = [[px(2); 1].as_slice(), &[OCCLUDED; 8], &[px(10)]].concat();
+        let mut column = [[px(2); 1].as_slice(), &[TEXTURED; 8], &[px(10)]].concat();
         fill_holes(&mut column, 2, false);
-        assert_eq!(column[1..9], [OCCLUDED; 8], "no shadow falls upwards");
+        assert_eq!(column[1..9], [TEXTURED; 8], "no shadow falls upwards");
     }
 
     #[test]

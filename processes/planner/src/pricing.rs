@@ -90,13 +90,13 @@ impl Pricing {
     /// For a library of `size`.
     pub(crate) fn new(size: usize, threads: usize) -> Self {
         let most = size + 1 + REFINED;
-        let worker = Worker { rollout: Rollout::new(), priced: Vec::with_capacity(most), from: None, found: None };
+        let worker = |_| Worker { rollout: Rollout::new(), priced: Vec::with_capacity(most), from: None, found: None };
         // Where the system starts no more threads, one does all: later, and with the same result.
         let pool = (threads > 1).then(|| ThreadPoolBuilder::new().num_threads(threads).build().ok()).flatten();
         Self {
             priced: Vec::with_capacity(most),
             refined: Vec::with_capacity(REFINED),
-            workers: (0..threads).map(|_| Worker { priced: Vec::with_capacity(most), ..worker.clone() }).collect(),
+            workers: (0..threads.max(1)).map(worker).collect(),
             threads: pool.map(Arc::new),
         }
     }

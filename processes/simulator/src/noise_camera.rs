@@ -11,7 +11,7 @@ use crate::camera::generator;
 use crate::render::Renderer;
 use crate::world::World;
 use ipc_types::bounds::Bounds;
-use ipc_types::disparity::{NO_MATCH, OCCLUDED, TEXTURELESS, encode};
+use ipc_types::disparity::{NO_MATCH, TEXTURED, TEXTURELESS, encode};
 use ipc_types::{Camera, Point, Pose, StereoRig, World as WorldFrame};
 use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
@@ -31,7 +31,7 @@ pub struct Shares {
     /// Without enough texture.
     pub textureless: f64,
     /// Without a match, but with texture right there.
-    pub occluded: f64,
+    pub textured: f64,
 }
 
 /// The model's parameters.
@@ -77,7 +77,7 @@ impl NoiseCameraConfig {
         bounds.range("patch_px", self.patch_px, 1..=64);
         for (class, shares) in Class::ALL.map(|class| (class.name(), self.shares(class))) {
             bounds.section(class, |bounds| {
-                let all = [shares.measured, shares.beside, shares.textureless, shares.occluded];
+                let all = [shares.measured, shares.beside, shares.textureless, shares.textured];
                 let is_share =
                     all.iter().all(|share| (0.0..=1.0).contains(share)) && all.iter().sum::<f64>() <= 1.0 + 1e-9;
                 bounds.require(is_share, "", format_args!("is {shares:?}, needs shares that add up to 1 at most"));
@@ -183,7 +183,7 @@ pub struct NoiseCamera {
     config: NoiseCameraConfig,
     rig: StereoRig,
     renderer: Renderer,
-    /// By class: below the first it is measured, below the next beside, then textureless, below the last occluded.
+    /// By class: below the first it is measured, below the next beside, then textureless, below the last textured.
     limits: [[f32; 4]; CLASSES],
     truth: Vec<f32>,
     contrast: Vec<f32>,
@@ -202,9 +202,9 @@ impl NoiseCamera {
         let centre = (rig.cx_px as f32, rig.cy_px as f32);
         let mut random = generator(seed, 7);
         let limits = Class::ALL.map(|class| {
-            let Shares { measured, beside, textureless, occluded } = config.shares(class);
+            let Shares { measured, beside, textureless, textured } = config.shares(class);
             let mut sum = 0.0;
-            [measured, beside, textureless, occluded].map(|share| {
+            [measured, beside, textureless, textured].map(|share| {
                 sum += share;
                 normal_quantile(sum)
             })
@@ -271,7 +271,7 @@ impl NoiseCamera {
                 } else if decision < limits[2] {
                     TEXTURELESS
                 } else if decision < limits[3] {
-                    OCCLUDED
+                    TEXTURED
                 } else {
                     NO_MATCH
                 };

@@ -3,7 +3,8 @@
 //! [`Matcher`] is the pure core: census or gradient costs averaged over a window, semi-global aggregation along up to
 //! five paths (Hirschmüller 2008), winner-takes-all with sub-pixel, uniqueness and left-right checks, then speckle
 //! removal. What has no texture is reported as [`ipc_types::disparity::TEXTURELESS`], what has no consistent match
-//! as [`ipc_types::disparity::NO_MATCH`]; neither is ever "far".
+//! as [`ipc_types::disparity::NO_MATCH`], or [`ipc_types::disparity::TEXTURED`] where there is texture right there; none is
+//! ever "far".
 //!
 //! [`StereoProcess`] connects the matcher to its topics, or a depth sensor's images ([`Source`]). [`Player`] feeds it from
 //! image files, [`CameraProcess`] from live cameras.

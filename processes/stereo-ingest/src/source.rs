@@ -5,7 +5,7 @@
 
 use ipc_types::StereoRig;
 use ipc_types::bounds::Bounds;
-use ipc_types::disparity::{MASKED, NO_MATCH, OCCLUDED, TEXTURELESS, encode, is_valid};
+use ipc_types::disparity::{MASKED, NO_MATCH, TEXTURED, TEXTURELESS, encode, is_valid};
 use serde::{Deserialize, Serialize};
 
 /// What the sensor delivers.
@@ -60,7 +60,7 @@ pub struct ValueTable(Box<[u16; VALUES]>);
 
 const VALUES: usize = 1 << 16;
 /// Reasons why there is no disparity.
-const CODES: [u16; 4] = [NO_MATCH, TEXTURELESS, MASKED, OCCLUDED];
+const CODES: [u16; 4] = [NO_MATCH, TEXTURELESS, MASKED, TEXTURED];
 
 impl ValueTable {
     /// For a sensor that delivers depth or disparity; `None` for one that delivers pairs.
@@ -152,7 +152,7 @@ mod tests {
         let table = ValueTable::new(&RIG, &Source::Matched).expect("a table");
         let (values, mut out) = ([0, 1, 2, 3, 4, 15, 16, 640, u16::MAX], [7; 9]);
         assert_eq!(table.convert(&values, &mut out), 3);
-        assert_eq!(out, [NO_MATCH, TEXTURELESS, MASKED, OCCLUDED, NO_MATCH, NO_MATCH, 16, 640, u16::MAX]);
+        assert_eq!(out, [NO_MATCH, TEXTURELESS, MASKED, TEXTURED, NO_MATCH, NO_MATCH, 16, 640, u16::MAX]);
     }
 
     #[test]
