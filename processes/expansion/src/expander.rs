@@ -14,7 +14,8 @@ use ipc_types::StereoRig;
 use ipc_types::disparity::encode;
 use ipc_types::messages::{ExpandedLayout, Layers, UNKNOWN_FRONT};
 use ipc_types::noise::NoiseModel;
-use rayon::{ThreadPool, ThreadPoolBuilder};
+use rayon::ThreadPool;
+use runtime::thread_pool;
 
 /// Why an image was refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -109,8 +110,7 @@ impl Expander {
             tables,
             inflate: Inflate::new(column_axis, row_axis, threads),
             clearance,
-            // Where the system starts no more threads, one does all: later, and with the same result.
-            threads: (threads > 1).then(|| ThreadPoolBuilder::new().num_threads(threads).build().ok()).flatten(),
+            threads: thread_pool(threads),
             scratch: Scratch {
                 filled: image(),
                 patches: Patches::new(rig.pixels()),

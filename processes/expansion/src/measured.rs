@@ -166,7 +166,7 @@ mod tests {
     fn a_shadow_on_something_textured_takes_what_it_can_hide() {
         let px = |disparity_px: u16| disparity_px * SCALE as u16;
         let shadowed = |code: u16| {
-            let mut line = [[px(2); 1].as_slice(), &[TEXTURED; 4], &[code], &[TEXTURED; 3], &[px(10)]].concat();
+            let mut line = [&[px(2)][..], &[TEXTURED; 4], &[code], &[TEXTURED; 3], &[px(10)]].concat();
             fill_holes(&mut line, 2, true);
             line[1..9].iter().map(|pixel| pixel / SCALE as u16).collect::<Vec<_>>()
         };
@@ -174,7 +174,7 @@ mod tests {
         assert_eq!(shadowed(TEXTURED), [4, 5, 6, 7, 8, 9, 10, 10]);
         assert_eq!(shadowed(TEXTURELESS), [10; 8], "something blank may stand there");
         assert_eq!(shadowed(NO_MATCH), [10; 8]);
-        let mut column = [[px(2); 1].as_slice(), &[TEXTURED; 8], &[px(10)]].concat();
+        let mut column = [&[px(2)][..], &[TEXTURED; 8], &[px(10)]].concat();
         fill_holes(&mut column, 2, false);
         assert_eq!(column[1..9], [TEXTURED; 8], "no shadow falls upwards");
     }

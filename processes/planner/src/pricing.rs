@@ -12,8 +12,9 @@ use crate::situation::Situation;
 use crate::stuck::{LOOK_SHARE, Stuck};
 use ipc_types::frames::wrap_angle_rad;
 use ipc_types::{FlightTime, Point, Vector, World};
+use rayon::ThreadPool;
 use rayon::prelude::*;
-use rayon::{ThreadPool, ThreadPoolBuilder};
+use runtime::thread_pool;
 use std::sync::Arc;
 
 /// Slower than this the vehicle looks before it sets out to where it does not look, m/s.
@@ -91,13 +92,11 @@ impl Pricing {
     pub(crate) fn new(size: usize, threads: usize) -> Self {
         let most = size + 1 + REFINED;
         let worker = |_| Worker { rollout: Rollout::new(), priced: Vec::with_capacity(most), from: None, found: None };
-        // Where the system starts no more threads, one does all: later, and with the same result.
-        let pool = (threads > 1).then(|| ThreadPoolBuilder::new().num_threads(threads).build().ok()).flatten();
         Self {
             priced: Vec::with_capacity(most),
             refined: Vec::with_capacity(REFINED),
             workers: (0..threads.max(1)).map(worker).collect(),
-            threads: pool.map(Arc::new),
+            threads: thread_pool(threads).map(Arc::new),
         }
     }
 

@@ -6,7 +6,7 @@
 //! * [`lockstep`]: all in one thread, fixed order, seeded, with modelled latency. Repeatable to the bit.
 //!
 //! Images that must outlive their writer lie in the [`images`] store. [`run_dir`] isolates runs from each other.
-//! [`video`] reads cameras.
+//! [`video`] reads cameras. [`thread_pool`] serves cores that divide their work.
 //! This crate refuses to know what the messages mean.
 
 pub mod images;
@@ -15,6 +15,8 @@ pub mod lockstep;
 mod missed;
 mod ports;
 pub mod run_dir;
+mod threads;
 pub mod video;
 
 pub use ports::{Connect, Message, Ports, Process, Report, host_now};
+pub use threads::thread_pool;

@@ -9,6 +9,7 @@ use crate::Config;
 use ipc_types::StereoRig;
 use ipc_types::disparity::{SCALE, TEXTURELESS, is_valid};
 use rayon::prelude::*;
+use runtime::thread_pool;
 
 /// Why a pair was refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -98,8 +99,7 @@ impl Matcher {
                 side_baselines: config.speckle_size_m / rig.baseline_m as f32,
                 doffs_px: rig.doffs_px as f32,
             },
-            // Where the system starts no more threads, one does all: later, and with the same result.
-            threads: (threads > 1).then(|| rayon::ThreadPoolBuilder::new().num_threads(threads).build().ok()).flatten(),
+            threads: thread_pool(threads),
         }
     }
 

@@ -37,7 +37,7 @@ impl Texture {
 
     /// Takes in a row of an image of this width. Rows are to come in order; any other than the next one starts anew.
     #[inline(always)]
-    pub(crate) fn look(&mut self, image: &[u8], row: usize) {
+    pub(crate) fn take_in(&mut self, image: &[u8], row: usize) {
         let width = self.under[0].len();
         let height = image.len() / width;
         let line = |row: usize| &image[row * width..(row + 1) * width];
@@ -114,7 +114,7 @@ mod tests {
         let rows = |from: usize| (from..height).chain(0..from);
         for row in rows(11) {
             let marks = &mut marks[row * width..(row + 1) * width];
-            texture.look(&image, row);
+            texture.take_in(&image, row);
             texture.mark_blank(2.0, 1, marks);
             texture.mark_textured(3.0, 0, 2, marks);
         }
@@ -140,7 +140,7 @@ mod tests {
         let mut texture = Texture::new(width);
         for row in 0..height {
             let (mut blank, mut textured) = (vec![0; width], vec![0; width]);
-            texture.look(&image, row);
+            texture.take_in(&image, row);
             texture.mark_blank(12.5, 1, &mut blank);
             texture.mark_textured(12.5, 0, 1, &mut textured);
             for x in 0..width {

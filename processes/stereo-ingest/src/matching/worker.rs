@@ -21,10 +21,9 @@ pub(super) trait Work: Send {
 
 /// Rows above a strip from which its paths start: after as many, what lies farther up no longer matters.
 const WARM_UP_ROWS: usize = 16;
-/// So many times the least texture, right at a pixel, are no noise, and so it is no blank surface. Of 124,000 shadows in
-/// rendered forests three quarters are so textured throughout; of the 105 in which something blank stands, two.
+/// So many times the least texture, right at a pixel, are no noise, and so it is no blank surface (ARCHITECTURE.md, Holes).
 const CLEARLY: f32 = 1.5;
-/// And no less than this, grey levels, however little texture is asked for: the mean difference that a camera's noise makes.
+/// And no less than this, grey levels, however little texture is asked for: noise of 1.5 makes a mean difference of 1.7.
 const NOISE: f32 = 3.0;
 
 struct Worker<S, const K: usize> {
@@ -151,12 +150,12 @@ impl<S: Lanes, const K: usize> Kernel for Match<'_, S, K> {
             let out = &mut disparity[(row - first) * width..(row - first + 1) * width];
             if *least_texture > 0.0 {
                 blank.fill(0);
-                right.look(images[1], row);
+                right.take_in(images[1], row);
                 right.mark_blank(*least_texture, TEXTURELESS, blank);
             }
             winners.finish(*rules, blank, out);
             if *least_texture > 0.0 {
-                left.look(images[0], row);
+                left.take_in(images[0], row);
                 left.mark_blank(*least_texture, TEXTURELESS, out);
                 left.mark_textured((CLEARLY * *least_texture).max(NOISE), NO_MATCH, TEXTURED, out);
             }
