@@ -82,7 +82,7 @@ pub struct FlightConfig {
 }
 
 /// The configuration files that ship, compiled in.
-const SHIPPED: [(&str, &str); 20] = [
+const SHIPPED: [(&str, &str); 22] = [
     ("default.ron", include_str!("../config/default.ron")),
     ("fast.ron", include_str!("../config/fast.ron")),
     ("forest_100.ron", include_str!("../config/forest_100.ron")),
@@ -91,6 +91,7 @@ const SHIPPED: [(&str, &str); 20] = [
     ("corner.ron", include_str!("../config/corner.ron")),
     ("cul_de_sac.ron", include_str!("../config/cul_de_sac.ron")),
     ("canopy.ron", include_str!("../config/canopy.ron")),
+    ("hedge.ron", include_str!("../config/hedge.ron")),
     ("vehicles/scout.ron", include_str!("../config/vehicles/scout.ron")),
     ("vehicles/swift.ron", include_str!("../config/vehicles/swift.ron")),
     ("worlds/forest.ron", include_str!("../config/worlds/forest.ron")),
@@ -101,6 +102,7 @@ const SHIPPED: [(&str, &str); 20] = [
     ("worlds/corner.ron", include_str!("../config/worlds/corner.ron")),
     ("worlds/cul_de_sac.ron", include_str!("../config/worlds/cul_de_sac.ron")),
     ("worlds/canopy.ron", include_str!("../config/worlds/canopy.ron")),
+    ("worlds/hedge.ron", include_str!("../config/worlds/hedge.ron")),
     ("graphs/droan.ron", include_str!("../config/graphs/droan.ron")),
     ("graphs/droan_640.ron", include_str!("../config/graphs/droan_640.ron")),
 ];

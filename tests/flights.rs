@@ -118,6 +118,20 @@ fn an_open_field_under_a_clear_sky_is_crossed() {
 }
 
 #[test]
+fn a_hedge_across_the_way_is_flown_over() {
+    let _alone = real_time();
+    let flights = on_threads(cores(), 1..=4, |seed| {
+        let hedge = FlightConfig::load(Some("hedge".as_ref()), None).expect("it is shipped");
+        fly(&FlightConfig { seed, ..hedge })
+    });
+    for flight in &flights {
+        assert_eq!(flight.outcome, Outcome::Arrived, "{flight:?}");
+        // It is 60 m wide: no way around is as short.
+        assert!(flight.path_length_m < 1.15 * flight.straight_line_m, "{flight:?}");
+    }
+}
+
+#[test]
 fn a_blank_wall_across_the_way_stops_the_vehicle() {
     let _alone = real_time();
     let mut config = configuration(Some("wall"), 1);

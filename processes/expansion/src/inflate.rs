@@ -1,5 +1,9 @@
 //! Every value spreads over the window that its surface's inflation covers: columns first, then rows.
 //!
+//! What the far-background rule grants ends at the foot of its column: whatever stands there unseen stands on that foot, so
+//! that below the ray to it, and nearer, there is but the ground, which was measured. Else the sky above a wall would hide
+//! the wall's upper part, as it is worth less than the wall's distance.
+//!
 //! Rows work on what the columns left. For the nearest value that loses nothing: a larger value's window contains a
 //! smaller one's. Lines do not depend on each other, so neither do results on the number of threads.
 
@@ -80,7 +84,7 @@ impl<S: Spread> Inflate<S> {
             let columns = values.chunks_exact(S::VALUES * height).zip(spread.chunks_exact_mut(S::VALUES * tall));
             for (values, spread) in columns {
                 let line = |value: usize| &values[value.min(S::VALUES - 1) * height..][..height];
-                spread_line(worker, axis, radii, &[line(0), line(1), line(2)][..S::VALUES], spread);
+                spread_line(worker, axis, radii, true, &[line(0), line(1), line(2)][..S::VALUES], spread);
             }
         });
         transpose(&self.spread, S::VALUES * tall, &mut self.sources);
@@ -90,7 +94,7 @@ impl<S: Spread> Inflate<S> {
         each_part(&mut self.rows, parts, |worker, (part, inflated)| {
             for (row, inflated) in (part * share..).zip(inflated.chunks_exact_mut(S::VALUES * wide)) {
                 let line = |value: usize| &sources[(value.min(S::VALUES - 1) * tall + row) * width..][..width];
-                spread_line(worker, axis, radii, &[line(0), line(1), line(2)][..S::VALUES], inflated);
+                spread_line(worker, axis, radii, false, &[line(0), line(1), line(2)][..S::VALUES], inflated);
             }
         });
         &self.inflated
@@ -114,12 +118,13 @@ fn each_part<S: Send, P: Send>(
     }
 }
 
-/// Spreads the values of one line and writes what is gathered to `out`.
+/// Spreads the values of one line and writes what is gathered to `out`. In a column soft values end at their foot.
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2+fma", "x86_64+sse4.1", "aarch64+neon"))]
 fn spread_line<S: Spread, R: Radii>(
     worker: &mut Worker<S>,
     axis: &Axis,
     radii: &R,
+    is_column: bool,
     sources: &[&[u16]],
     out: &mut [u16],
 ) {
@@ -128,6 +133,9 @@ fn spread_line<S: Spread, R: Radii>(
         // Apart from the updates, so that the tangents vectorise.
         radii.over_depths(values, radius_over_depth);
         axis.windows(radius_over_depth, windows);
+        if is_column {
+            windows.end_soft(values, axis.margin_px());
+        }
         windows.find_cells(axis.expanded_px());
         // What is the same as before has been spread already.
         let before = number.checked_sub(1).map(|before| sources[before]);

@@ -34,6 +34,16 @@ impl Windows {
         Self { first: line(), last: line(), begins: line(), ends: line() }
     }
 
+    /// Ends the windows of soft values ([`crate::tables`]) at the last of them, in a line with a margin of so many places.
+    #[inline(always)]
+    pub(crate) fn end_soft(&mut self, values: &[u16], margin: usize) {
+        let Some(lowest) = values.iter().rposition(|value| value & 1 == 1) else { return };
+        let end = (margin + lowest) as u32;
+        for (last, value) in self.last.iter_mut().zip(values) {
+            *last = if value & 1 == 1 { end.min(*last) } else { *last };
+        }
+    }
+
     /// Finds the cells ([`Cells`]) of the windows, in a table for lines of a length.
     #[inline(always)]
     pub(crate) fn find_cells(&mut self, length: usize) {
@@ -81,6 +91,11 @@ impl Axis {
     /// Pixels of a line.
     pub(crate) fn length_px(&self) -> usize {
         self.sides[0].slope.len()
+    }
+
+    /// Pixels that an expanded line is longer by, at either end.
+    pub(crate) fn margin_px(&self) -> usize {
+        (self.expanded_px - self.length_px()) / 2
     }
 
     /// Pixels of an expanded line.

@@ -83,12 +83,15 @@ impl Deliberation {
         let Asked { config, situation, from, .. } = *asked;
         let (goal, cruise_mps) = (situation.goal, situation.cruise_mps);
         let (unknown_price, clearance_price) = (config.unknown_price as f32, config.clearance_price as f32);
-        let ask = Ask { threshold: config.gamma_low, unknown_price, clearance_price };
+        let near_goal = from.position.distance(goal) < NEAR_GOAL_M;
+        let height_price = if near_goal { 0.0 } else { config.height_price };
+        let height_m = keeps_m(asked);
+        let ask = Ask { height_m, threshold: config.gamma_low, unknown_price, clearance_price, height_price };
         self.field.update(view, fence, from.position, goal, ask);
         self.guide.update(view, from.position, goal, config);
         let (limits, speed_mps) = (config.limits(cruise_mps), from.velocity.norm().min(cruise_mps));
         self.guide.time(speed_mps, &limits);
-        self.field.way(from.position, keeps_m(asked), WAY_M, &mut self.way);
+        self.field.way(from.position, WAY_M, &mut self.way);
         self.timing.time(&self.way, WAY_M, speed_mps, &limits, STEP_S);
     }
 
@@ -115,7 +118,7 @@ impl Deliberation {
         let Asked { config, situation, start, from, stuck, gaze, flying, half_view_rad, .. } = *asked;
         let Self { library, field, guide, timing, pricing, .. } = self;
         let ways = [guide.timed(), timing.timed()];
-        let (goal, speed_mps, height_m) = (situation.goal, situation.cruise_mps, keeps_m(asked));
+        let (goal, speed_mps, height_m) = (situation.goal, situation.cruise_mps, field.height_m(from.position));
         let heading = |direction: Vector<World>| direction.y.atan2(direction.x);
         let heading_rad = if from.velocity.horizontal_norm() > UNDER_WAY_MPS {
             heading(from.velocity)

@@ -13,6 +13,7 @@
 //! Effort is bounded by the number of candidates and samples, never by time.
 
 mod admission;
+mod buckets;
 mod choice;
 mod deliberation;
 mod draft;
@@ -22,6 +23,7 @@ mod field;
 mod fixtures;
 mod gaze;
 mod guide;
+mod level;
 mod library;
 mod map_space;
 mod planner;

@@ -6,7 +6,7 @@ use crate::{Config, Situation};
 use ipc_types::limits::Fence;
 use ipc_types::messages::{PlanMode, Task};
 use ipc_types::{FlightTime, Point, Vector, World};
-use memory::View;
+use memory::{Occupancy, View};
 
 /// Where a vehicle is, and how fast, a tenth of a second after a plan that it follows exactly and at once.
 fn follow(planner: &Planner) -> (Point<World>, Vector<World>) {
@@ -146,7 +146,9 @@ fn goals_that_change_every_frame_or_cannot_be_reached_do_no_harm() {
         let last = planner.points().last().expect("a plan has points");
         assert_eq!(last.velocity_mps, [0.0; 3], "it ends at rest");
         (position, velocity) = follow(&planner);
-        assert!(position.x < 4.1 && FENCE.contains(position), "{tick}: {position:?}");
+        // Beside what the images show of the wall all is free.
+        let is_before = position.x < 4.1 || view.occupancy(position, config().gamma_low) == Occupancy::Free;
+        assert!(is_before && FENCE.contains(position), "{tick}: {position:?}");
     }
 }
 

@@ -228,8 +228,7 @@ impl Prices<'_> {
     /// What remains to the goal, m: around what is known at this height and remembered there. A way that is much longer
     /// is as good as none, and then the path tells, which may lead over things.
     fn to_goal_m(&self, end: Point<World>) -> f64 {
-        let off_m = if self.near_goal { 0.0 } else { (end.z - self.aim.height_m).abs() };
-        let level_m = self.field.to_goal_m(end) + self.config.height_price * off_m;
+        let level_m = self.field.to_goal_m(end);
         let path_m = self.guide.to_goal_m(end);
         // Where there is no path either, far is better than nothing.
         level_m.min(NO_WAY_M + if path_m.is_finite() { path_m } else { end.distance(self.situation.goal) })
