@@ -104,7 +104,8 @@ fn far_end_m(tables: &Tables, near_px: f32) -> f64 {
     tables.rig().depth_m(f64::from(tables.interval_px(least).1))
 }
 
-/// Least binned value that stands for at least a value's near end, as hard or soft as that.
+/// Least binned value that stands for at least a value's near end, as hard or soft as that. A soft one is the nearest of its
+/// bin: no hard one hides it there, for behind what is soft nothing may be called free.
 fn binned(edges: &[(f32, f32)], value: u16) -> u16 {
     if value == 0 {
         return 0;
@@ -113,8 +114,9 @@ fn binned(edges: &[(f32, f32)], value: u16) -> u16 {
     let bin = (1..BINS).find(|&bin| near_px <= edges[bin].1).unwrap_or(BINS);
     let (far_px, edge_px) = edges[bin];
     let share = (near_px - far_px).max(0.0) / (edge_px - far_px).max(f32::MIN_POSITIVE);
-    let step = (share * STEPS).ceil().min(STEPS) as u16;
-    ((bin << BIN_BITS) as u16) | (2 * step) | (value & 1)
+    let is_soft = value & 1 == 1;
+    let step = if is_soft { STEPS as u16 } else { (share * STEPS).ceil().min(STEPS) as u16 };
+    ((bin << BIN_BITS) as u16) | (2 * step) | u16::from(is_soft)
 }
 
 /// The near end that a binned value stands for, px.

@@ -1,11 +1,12 @@
 //! Every value spreads over the window that its surface's inflation covers: columns first, then rows.
 //!
-//! What the far-background rule grants ends at the foot of its column: whatever stands there unseen stands on that foot, so
-//! that below the ray to it, and nearer, there is but the ground, which was measured. Else the sky above a wall would hide
-//! the wall's upper part, as it is worth less than the wall's distance.
+//! What the far-background rule grants ends at the foot of its column: whatever stands there unseen stands on that foot, and
+//! what comes near it below the ray to the foot comes near the foot and the ground before it, which were measured. Else the
+//! sky above a wall would hide the wall's upper part, as it is worth less than the wall's distance. A vehicle flatter than
+//! wide keeps less off the ground than off what stands on it, so that for such a one nothing ends there.
 //!
-//! Rows work on what the columns left. For the nearest value that loses nothing: a larger value's window contains a
-//! smaller one's. Lines do not depend on each other, so neither do results on the number of threads.
+//! Rows work on what the columns left. For the nearest value that loses nothing: along a row a larger value's window
+//! contains a smaller one's. Lines do not depend on each other, so neither do results on the number of threads.
 
 use crate::range_max::Cells;
 use crate::tables::Radii;
@@ -84,7 +85,7 @@ impl<S: Spread> Inflate<S> {
             let columns = values.chunks_exact(S::VALUES * height).zip(spread.chunks_exact_mut(S::VALUES * tall));
             for (values, spread) in columns {
                 let line = |value: usize| &values[value.min(S::VALUES - 1) * height..][..height];
-                spread_line(worker, axis, radii, true, &[line(0), line(1), line(2)][..S::VALUES], spread);
+                spread_line(worker, axis, radii, axis.is_upright(), &[line(0), line(1), line(2)][..S::VALUES], spread);
             }
         });
         transpose(&self.spread, S::VALUES * tall, &mut self.sources);
@@ -118,13 +119,13 @@ fn each_part<S: Send, P: Send>(
     }
 }
 
-/// Spreads the values of one line and writes what is gathered to `out`. In a column soft values end at their foot.
+/// Spreads the values of one line and writes what is gathered to `out`. Soft values may end at their foot.
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2+fma", "x86_64+sse4.1", "aarch64+neon"))]
 fn spread_line<S: Spread, R: Radii>(
     worker: &mut Worker<S>,
     axis: &Axis,
     radii: &R,
-    is_column: bool,
+    ends_soft: bool,
     sources: &[&[u16]],
     out: &mut [u16],
 ) {
@@ -133,7 +134,7 @@ fn spread_line<S: Spread, R: Radii>(
         // Apart from the updates, so that the tangents vectorise.
         radii.over_depths(values, radius_over_depth);
         axis.windows(radius_over_depth, windows);
-        if is_column {
+        if ends_soft {
             windows.end_soft(values, axis.margin_px());
         }
         windows.find_cells(axis.expanded_px());

@@ -124,6 +124,10 @@ fn gap_limit(bins: &BinTables, first: u16, [nearest, second, third]: [u16; 3], o
     if own == 0 || bins.binned(own) > third || bin(third) + 2 > group {
         return 0;
     }
+    // Behind what only the far-background rule grants anything may stand unseen.
+    if [first, nearest, second].iter().any(|value| value & 1 == 1) {
+        return 0;
+    }
     let is_alone = bin(nearest) == group && bin(second) + 2 <= group;
     bins.back(if is_alone { group } else { group - 1 })
 }

@@ -65,6 +65,7 @@ pub(crate) struct Axis {
     /// Stretched slope to pixels of the expanded line.
     scale_px: f32,
     offset_px: f32,
+    stretch: f64,
 }
 
 impl Axis {
@@ -85,12 +86,18 @@ impl Axis {
             sides: [side(-0.5), side(0.5)],
             scale_px: (focal_px * stretch) as f32,
             offset_px: (centre_px + margin_px as f64) as f32,
+            stretch,
         }
     }
 
     /// Pixels of a line.
     pub(crate) fn length_px(&self) -> usize {
         self.sides[0].slope.len()
+    }
+
+    /// Whether the ellipsoid is at least as wide along this axis as in depth.
+    pub(crate) fn is_upright(&self) -> bool {
+        self.stretch >= 1.0
     }
 
     /// Pixels that an expanded line is longer by, at either end.
@@ -180,5 +187,27 @@ mod tests {
             previous = next;
         }
         assert_eq!(previous, (0, 359));
+    }
+
+    #[test]
+    fn soft_windows_end_at_the_last_soft_value_and_hard_ones_do_not() {
+        let axis = Axis::new(200.0, 9.5, 20, 6, 1.0);
+        let mut windows = Windows::new(20);
+        let ends = |values: &[u16], windows: &mut Windows| {
+            axis.windows(&[0.02; 20], windows);
+            let before = windows.last.clone();
+            windows.end_soft(values, axis.margin_px());
+            (before, windows.last.clone())
+        };
+        let values: Vec<u16> = (0..20).map(|place| if place < 9 && place != 4 { 801 } else { 400 }).collect();
+        let (before, after) = ends(&values, &mut windows);
+        for place in 0..20 {
+            let is_soft = values[place] & 1 == 1;
+            assert_eq!(after[place], if is_soft { before[place].min(8 + 6) } else { before[place] }, "{place}");
+            assert!(windows.first[place] <= after[place]);
+        }
+        assert_eq!(before[8], 8 + 6 + 5, "one ends farther on without");
+        let (before, after) = ends(&[400; 20], &mut windows);
+        assert_eq!(before, after);
     }
 }

@@ -83,8 +83,7 @@ impl Deliberation {
         let Asked { config, situation, from, .. } = *asked;
         let (goal, cruise_mps) = (situation.goal, situation.cruise_mps);
         let (unknown_price, clearance_price) = (config.unknown_price as f32, config.clearance_price as f32);
-        let near_goal = from.position.distance(goal) < NEAR_GOAL_M;
-        let height_price = if near_goal { 0.0 } else { config.height_price };
+        let height_price = if is_near_goal(asked) { 0.0 } else { config.height_price };
         let height_m = keeps_m(asked);
         let ask = Ask { height_m, threshold: config.gamma_low, unknown_price, clearance_price, height_price };
         self.field.update(view, fence, from.position, goal, ask);
@@ -118,7 +117,8 @@ impl Deliberation {
         let Asked { config, situation, start, from, stuck, gaze, flying, half_view_rad, .. } = *asked;
         let Self { library, field, guide, timing, pricing, .. } = self;
         let ways = [guide.timed(), timing.timed()];
-        let (goal, speed_mps, height_m) = (situation.goal, situation.cruise_mps, field.height_m(from.position));
+        let (goal, speed_mps, near_goal) = (situation.goal, situation.cruise_mps, is_near_goal(asked));
+        let height_m = if near_goal { keeps_m(asked) } else { field.height_m(from.position) };
         let heading = |direction: Vector<World>| direction.y.atan2(direction.x);
         let heading_rad = if from.velocity.horizontal_norm() > UNDER_WAY_MPS {
             heading(from.velocity)
@@ -136,12 +136,16 @@ impl Deliberation {
             stuck,
             gaze,
             flying,
-            near_goal: from.position.distance(goal) < NEAR_GOAL_M,
+            near_goal,
             least_m: LEAST_SHARE * config.least_commitment_m(speed_mps),
             half_view_rad,
         };
         act(&prices, pricing)
     }
+}
+
+fn is_near_goal(asked: &Asked<'_>) -> bool {
+    asked.from.position.distance(asked.situation.goal) < NEAR_GOAL_M
 }
 
 /// Height to keep, m: that of the way, at last the goal's.

@@ -2,27 +2,33 @@
 //!
 //! A candidate is worth what remains to be flown from its end. The straight distance leads into every pocket; this
 //! field is the length of the shortest way over level grids around the vehicle, from whose rims it goes on straight.
-//! One grid lies at the height to keep. Only where its way is longer than a straight one that climbs, or the vehicle is at
-//! another height, the map is asked about those above and below, too: a way may change from one to the next anywhere, at a
-//! price. The field prices candidates and admits none: that is [`crate::admission`]'s alone.
+//! One grid lies at the height to keep. Only where its way is longer than a straight one through the unknown that climbs, or
+//! the vehicle is at another height, the map is asked about those above and below, too: a way may change from one to the next
+//! anywhere, at a price. The field prices candidates and admits none: that is [`crate::admission`]'s alone.
 
 use crate::buckets::Buckets;
-use crate::level::{Level, Place, REMEMBERED};
+use crate::grid::{CELL_M, Grid, cell_of};
+use crate::level::{Level, REMEMBERED, Survey};
 use crate::rollout::Sample;
 use ipc_types::limits::Fence;
 use ipc_types::{Point, Vector, World};
 use memory::View;
+use std::cmp::Ordering;
+use std::f64::consts::SQRT_2;
 use std::ops::Range;
 
-/// Side of a cell, m.
-pub(crate) const CELL_M: f64 = 0.4;
-/// Distance of the grids from each other, m: what any but a tiny vehicle keeps off by lies in one at least.
+/// Distance of the grids from each other, m: whatever a vehicle keeps off by half a metre or more meets one at least.
 const RISE_M: f64 = 1.0;
-/// Grids at most, and how many of them below the one at the height to keep.
+/// Grids at most, and how many of them below the one at the height to keep and above it.
 const LEVELS: usize = 5;
 const BELOW: usize = 1;
+const ABOVE: usize = LEVELS - BELOW - 1;
+/// A vehicle farther from the height to keep asks all grids, m.
+const OFF_M: f64 = 0.3;
 /// Those others are asked about once for so many cells along either side: 0.8 m, less than a margin is wide.
 const COARSE: usize = 2;
+/// Most entries of the queue, for every cell: it is reached by its neighbours and from above and below, some of them twice.
+const PUSHES: usize = 11;
 /// Most that a metre of a trajectory costs, relative to a free one: what is closed at the middle of a cell may be open beside it.
 const CLOSED_PRICE: f64 = 12.0;
 /// What is no farther from a trajectory's start costs nothing, m.
@@ -36,53 +42,16 @@ const DESCENT: f64 = 0.2;
 /// A way changes to another grid where that costs no more than this beyond staying, m: rather early than at the last moment.
 const EARLY_M: f64 = 0.5;
 
-/// A cell's place among all: towards east and north.
-pub(crate) type Cell = (i64, i64);
-
-/// Which cells a level grid holds.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Grid {
-    /// South-western cell.
-    first: Cell,
-    /// Cells to every side of the vehicle's.
-    half: i64,
-}
-
-impl Grid {
-    /// Cells along a side.
-    pub(crate) fn side(self) -> usize {
-        2 * self.half as usize + 1
-    }
-
-    fn cells(self) -> usize {
-        self.side().pow(2)
-    }
-
-    pub(crate) fn cell(self, index: usize) -> Cell {
-        (self.first.0 + (index % self.side()) as i64, self.first.1 + (index / self.side()) as i64)
-    }
-
-    /// The middle of a cell.
-    pub(crate) fn centre(self, index: usize, z_m: f64) -> Point<World> {
-        let (x, y) = self.cell(index);
-        Point::new((x as f64 + 0.5) * CELL_M, (y as f64 + 0.5) * CELL_M, z_m)
-    }
-
-    /// The cell beside a point's, if there is one.
-    fn beside(self, point: Point<World>, right: i64, up: i64) -> Option<usize> {
-        let (x, y) = cell_of(point);
-        let (column, row, side) = (x + right - self.first.0, y + up - self.first.1, self.side() as i64);
-        ((0..side).contains(&column) && (0..side).contains(&row)).then(|| (row * side + column) as usize)
-    }
-}
-
 /// Cost-to-go around the vehicle.
 #[derive(Clone, Debug)]
 pub(crate) struct Field {
     grid: Grid,
     levels: [Level; LEVELS],
+    survey: Survey,
     /// Those that are up to date, from the lowest on: the one at the height to keep, at least.
     known: Range<usize>,
+    /// Whether the way from the vehicle led to another level when it was last known.
+    changes: bool,
     /// Price of a metre up or down.
     height_price: f64,
     /// Of every cell of every level, one level after the other: price of crossing it relative to a free one, infinite where
@@ -110,38 +79,37 @@ pub(crate) struct Ask {
 impl Field {
     /// Grids that reach so far to every side of the vehicle, m.
     pub(crate) fn new(reach_m: f64) -> Self {
-        let half = (reach_m / CELL_M).round().clamp(1.0, REMEMBERED as f64 / 2.0 - 1.0) as i64;
-        let grid = Grid { first: (0, 0), half };
-        let levels = [0; LEVELS].map(|_| Level::new(grid.cells()));
+        let grid = Grid::new((reach_m / CELL_M).round().clamp(1.0, REMEMBERED as f64 / 2.0 - 1.0) as i64);
         let cells = LEVELS * grid.cells();
         Self {
             grid,
-            levels,
+            levels: [0; LEVELS].map(|_| Level::new()),
+            survey: Survey::new(grid.cells()),
             known: BELOW..BELOW + 1,
+            changes: false,
             height_price: 0.0,
             price: vec![1.0; cells],
             to_goal_m: vec![f32::INFINITY; cells],
-            queue: Buckets::new(11 * cells),
+            queue: Buckets::new(PUSHES * cells),
         }
     }
 
     /// Asks the map anew around `at`.
     pub(crate) fn update(&mut self, view: &View, fence: &Fence, at: Point<World>, goal: Point<World>, ask: Ask) {
-        let ((x, y), half) = (cell_of(at), self.grid.half);
-        self.grid.first = (x - half, y - half);
+        self.grid.move_to(at);
         self.height_price = ask.height_price;
-        let height_m = if ask.height_m.is_finite() { ask.height_m } else { at.z };
+        // The vehicle's own height lies between the lowest and the highest level.
+        let height_m = ask.height_m.max(at.z - ABOVE as f64 * RISE_M).min(at.z + BELOW as f64 * RISE_M);
         for (number, level) in self.levels.iter_mut().enumerate() {
             level.move_to(height_m + (number as f64 - BELOW as f64) * RISE_M);
         }
         self.known = BELOW..BELOW + 1;
-        let place = Place { at, fence };
-        self.look(BELOW, view, place, ask);
-        self.spread(goal);
+        self.look(BELOW, view, fence, at, ask);
+        self.spread(goal, ask);
         let straight_m = at.distance(goal);
-        let seen_m = straight_m.min(half as f64 * CELL_M);
+        let seen_m = straight_m.min(self.grid.reach_m());
         let climbing_m = straight_m + f64::from(ask.unknown_price) * seen_m + 2.0 * RISE_M * ask.height_price;
-        if self.to_goal_m(at) <= climbing_m && (at.z - height_m).abs() < 0.5 * RISE_M {
+        if !self.changes && self.to_goal_m(at) <= climbing_m && (at.z - height_m).abs() < OFF_M {
             return;
         }
         let is_within = |level: &Level| (fence.least_m[2]..=fence.most_m[2]).contains(&level.z_m);
@@ -149,36 +117,41 @@ impl Field {
         let above = self.levels[BELOW + 1..].iter().take_while(|level| is_within(level)).count();
         self.known = BELOW - below..BELOW + 1 + above;
         for number in self.known.clone().filter(|&number| number != BELOW) {
-            self.look(number, view, place, ask);
+            self.look(number, view, fence, at, ask);
         }
-        self.spread(goal);
+        self.spread(goal, ask);
+        self.changes = self.level_of(at) != BELOW;
     }
 
     /// Asks the map about a level.
-    fn look(&mut self, level: usize, view: &View, place: Place<'_>, ask: Ask) {
+    fn look(&mut self, level: usize, view: &View, fence: &Fence, at: Point<World>, ask: Ask) {
         let (cells, block) = (self.grid.cells(), if level == BELOW { 1 } else { COARSE });
-        let price = &mut self.price[level * cells..][..cells];
-        self.levels[level].update(self.grid, block, view, place, ask, price);
+        let Self { grid, levels, survey, price, .. } = self;
+        let price = &mut price[level * cells..][..cells];
+        let is_asked = survey.ask(*grid, block, levels[level].z_m, view, ask.threshold);
+        for (index, price) in price.iter_mut().enumerate() {
+            let centre = grid.centre(index, levels[level].z_m);
+            *price = if is_asked && fence.contains(centre) {
+                levels[level].price_of(grid.cell(index), survey.seen(index), centre.distance(at), ask.unknown_price)
+            } else {
+                f32::INFINITY
+            };
+        }
+        survey.keep_off(grid.side(), ask.clearance_price, price);
     }
 
     /// Fast marching (Sethian 1996) from the goal and the grids' rims inwards: distances as they are, not as a grid's
     /// eight directions make them. Up and down from grid to grid they add up.
-    fn spread(&mut self, goal: Point<World>) {
+    fn spread(&mut self, goal: Point<World>, ask: Ask) {
         self.to_goal_m.fill(f32::INFINITY);
-        self.queue.clear();
-        let (goal_cell, side, cells) = (cell_of(goal), self.grid.side(), self.grid.cells());
-        let goal_level = self.nearest_level(goal.z);
-        for number in self.known.clone() {
-            for index in 0..cells {
-                let (column, row) = (index % side, index / side);
-                let is_rim = column == 0 || row == 0 || column == side - 1 || row == side - 1;
-                let is_goal = number == goal_level && self.grid.cell(index) == goal_cell;
-                if is_goal || (is_rim && self.price[number * cells + index].is_finite()) {
-                    // From the rim on it gets back to the height to keep.
-                    let off_m = if is_goal { 0.0 } else { RISE_M * number.abs_diff(BELOW) as f64 };
-                    let to_goal_m = self.grid.centre(index, goal.z).distance(goal) + self.height_price * off_m;
-                    self.reach(number * cells + index, to_goal_m as f32);
-                }
+        let cells = self.grid.cells();
+        // Nothing of a square lies farther from its middle than its diagonal.
+        let least_m = self.grid.centre(cells / 2, goal.z).distance(goal) - SQRT_2 * (self.grid.reach_m() + CELL_M);
+        let dearest = f64::from(Level::dearest(ask.unknown_price, ask.clearance_price));
+        self.queue.begin(least_m.max(0.0) as f32, (2.0 * self.grid.side() as f64 * CELL_M * dearest) as f32);
+        for index in self.known.start * cells..self.known.end * cells {
+            if let Some(to_goal_m) = self.source_m(index, goal) {
+                self.reach(index, to_goal_m);
             }
         }
         let rise_m = (self.height_price * RISE_M) as f32;
@@ -186,7 +159,7 @@ impl Field {
             if so_far_m > self.to_goal_m[index] {
                 continue;
             }
-            for next in self.neighbours(index).into_iter().flatten() {
+            for next in self.grid.neighbours(index).into_iter().flatten() {
                 // What is nearer to the goal already is not reached from here.
                 if self.to_goal_m[next] > so_far_m {
                     let across_m = self.across(next);
@@ -204,22 +177,22 @@ impl Field {
         }
     }
 
-    /// Cells beside a cell of the same grid: west, east, south, north.
-    fn neighbours(&self, index: usize) -> [Option<usize>; 4] {
-        let (side, within) = (self.grid.side(), index % self.grid.cells());
-        let (column, row) = (within % side, within / side);
-        [
-            (column > 0).then(|| index - 1),
-            (column + 1 < side).then(|| index + 1),
-            (row > 0).then(|| index - side),
-            (row + 1 < side).then(|| index + side),
-        ]
+    /// Length of the way from what it spreads from: the goal itself, and the rims, from which it goes on straight and back at
+    /// the height to keep, m.
+    fn source_m(&self, index: usize, goal: Point<World>) -> Option<f32> {
+        let (level, cell) = (index / self.grid.cells(), index % self.grid.cells());
+        let is_goal = self.grid.cell(cell) == cell_of(goal) && level == self.nearest_level(goal.z);
+        if !is_goal && !(self.grid.is_rim(cell) && self.price[index].is_finite()) {
+            return None;
+        }
+        let off_m = if is_goal { 0.0 } else { RISE_M * level.abs_diff(BELOW) as f64 };
+        Some((self.grid.centre(cell, goal.z).distance(goal) + self.height_price * off_m) as f32)
     }
 
     /// Distance of a cell by its neighbours: the upwind solution of |grad d| = price.
     fn across(&self, index: usize) -> f32 {
         let at = |place: Option<usize>| place.map_or(f32::INFINITY, |place| self.to_goal_m[place]);
-        let [west, east, south, north] = self.neighbours(index).map(at);
+        let [west, east, south, north] = self.grid.neighbours(index).map(at);
         let (west_east, south_north) = (west.min(east), south.min(north));
         let step = CELL_M as f32 * self.price[index];
         let (near, far) = (west_east.min(south_north), west_east.max(south_north));
@@ -239,18 +212,18 @@ impl Field {
 
     /// Length of the way from a point to the goal, m, or more; infinite where the grids know none.
     pub(crate) fn to_goal_m(&self, point: Point<World>) -> f64 {
-        self.levels_at(point.z).map(|level| self.by_level_m(level, point)).into_iter().fold(f64::INFINITY, f64::min)
+        let [below, above] = self.levels_at(point.z);
+        let above_m = if above == below { f64::INFINITY } else { self.by_level_m(above, point) };
+        // What is no number is infinitely far.
+        f64::INFINITY.min(self.by_level_m(below, point)).min(above_m)
     }
 
     /// The same by way of a level.
     fn by_level_m(&self, level: usize, point: Point<World>) -> f64 {
-        let ((x, y), side) = (cell_of(point), self.grid.side());
         let mut least = f64::INFINITY;
-        for (right, down) in (-1..=1).flat_map(|right| (-1..=1).map(move |down| (right, down))) {
+        for (east, north) in (-1..=1).flat_map(|east| (-1..=1).map(move |north| (east, north))) {
             // What lies beyond the grid is reached straight from its rim.
-            let inside = |value: i64| value.clamp(0, side as i64 - 1);
-            let (column, row) = (inside(x + right - self.grid.first.0), inside(y + down - self.grid.first.1));
-            let index = row as usize * side + column as usize;
+            let index = self.grid.nearest(point, east, north);
             let to_goal_m = f64::from(self.to_goal_m[level * self.grid.cells() + index]);
             least = least.min(to_goal_m + self.grid.centre(index, point.z).distance(point));
         }
@@ -271,14 +244,18 @@ impl Field {
     /// The level by which the way from a point leads.
     fn level_of(&self, point: Point<World>) -> usize {
         let [below, above] = self.levels_at(point.z);
-        let mut level = if self.by_level_m(below, point) <= self.by_level_m(above, point) { below } else { above };
+        let mut level = match self.by_level_m(below, point).total_cmp(&self.by_level_m(above, point)) {
+            Ordering::Less => below,
+            Ordering::Greater => above,
+            Ordering::Equal => self.nearest_level(point.z),
+        };
         let Some(cell) = self.grid.beside(point, 0, 0) else { return level };
         let to_goal_m = |level: usize| f64::from(self.to_goal_m[level * self.grid.cells() + cell]);
         let rise_m = self.height_price * RISE_M - EARLY_M.min(0.4 * self.height_price * RISE_M);
-        while level + 1 < self.known.end && to_goal_m(level + 1) + rise_m <= to_goal_m(level) {
+        while level + 1 < self.known.end && to_goal_m(level + 1) + rise_m < to_goal_m(level) {
             level += 1;
         }
-        while level > self.known.start && to_goal_m(level - 1) + rise_m <= to_goal_m(level) {
+        while level > self.known.start && to_goal_m(level - 1) + rise_m < to_goal_m(level) {
             level -= 1;
         }
         level
@@ -313,7 +290,7 @@ impl Field {
         self.grid.beside(place, 0, 0).map_or(1.0, price)
     }
 
-    /// The way to the goal from a place, downhill, as far as the grids know it and `most_m` long at most.
+    /// The way to the goal from a place, downhill, as far as the grids know it and about `most_m` long at most.
     pub(crate) fn way(&self, from: Point<World>, most_m: f64, way: &mut Vec<Point<World>>) {
         way.clear();
         way.push(from);
@@ -340,8 +317,8 @@ impl Field {
     }
 
     fn downhill_on(&self, level: usize, point: Point<World>) -> Option<Vector<World>> {
-        let at = |right: i64, up: i64| {
-            let cell = self.grid.beside(point, right, up)?;
+        let at = |east: i64, north: i64| {
+            let cell = self.grid.beside(point, east, north)?;
             let value = self.to_goal_m[level * self.grid.cells() + cell];
             value.is_finite().then_some(f64::from(value))
         };
@@ -367,124 +344,6 @@ fn smooth(way: &mut [Point<World>]) {
     }
 }
 
-fn cell_of(point: Point<World>) -> Cell {
-    // No world is larger, and no sum of cells overflows.
-    let cell = |value: f64| (value / CELL_M).floor().clamp(-1e12, 1e12) as i64;
-    (cell(point.x), cell(point.y))
-}
-
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::fixtures::{FENCE, RIG, home_only};
-    use ipc_types::{Body, FlightTime, Pose, Rotation};
-
-    const ASK: Ask = Ask { threshold: 0.9, unknown_price: 0.3, clearance_price: 0.0, height_m: 2.0, height_price: 0.5 };
-    const GOAL: Point<World> = Point::new(40.0, 0.0, 2.0);
-    const AT: Point<World> = Point::new(0.0, 0.0, 2.0);
-
-    #[test]
-    fn it_is_the_straight_distance_where_all_is_free() {
-        let mut field = Field::new(10.0);
-        field.update(&home_only(200.0), &FENCE, AT, GOAL, ASK);
-        for point in [AT, Point::new(5.0, 3.0, 2.0), Point::new(-4.0, -6.0, 2.0)] {
-            let (found, straight) = (field.to_goal_m(point), point.distance(GOAL));
-            assert!((straight - 0.1..straight * 1.09).contains(&found), "{point:?}: {found}, straight {straight}");
-        }
-        let beyond = field.to_goal_m(Point::new(13.0, 0.0, 2.0));
-        assert!((27.0..35.0).contains(&beyond), "beyond the grid there is no cliff: {beyond}");
-    }
-
-    #[test]
-    fn unknown_space_is_dear_and_a_closed_rim_dearer() {
-        let mut field = Field::new(10.0);
-        field.update(&home_only(3.0), &FENCE, AT, GOAL, ASK);
-        let known = field.to_goal_m(AT);
-        assert!(known > 40.0 + 0.2 * (10.0 - 3.0), "{known}");
-        let narrow = Fence { most_m: [6.0, 50.0, 6.0], ..FENCE };
-        field.update(&home_only(200.0), &narrow, AT, GOAL, ASK);
-        assert!(field.to_goal_m(AT) > known, "the rim towards the goal is closed");
-    }
-
-    #[test]
-    fn the_way_leads_downhill() {
-        let mut field = Field::new(10.0);
-        field.update(&home_only(200.0), &FENCE, AT, GOAL, ASK);
-        let downhill = field.downhill(Point::new(1.0, 0.5, 2.0)).expect("a way");
-        assert!(downhill.x > 0.98 && (downhill.norm() - 1.0).abs() < 1e-9, "{downhill:?}");
-        assert_eq!(field.downhill(Point::new(50.0, 0.0, 2.0)), None, "beyond the grid");
-    }
-
-    #[test]
-    fn a_way_leads_to_the_goal_and_costs_what_it_crosses() {
-        let (mut field, mut way) = (Field::new(10.0), Vec::new());
-        let going = |way: &[Point<World>]| -> Vec<Sample> {
-            way.iter().map(|&position| Sample { position, velocity: Vector::ZERO }).collect()
-        };
-        field.update(&home_only(200.0), &FENCE, AT, GOAL, ASK);
-        field.way(AT, 8.0, &mut way);
-        let end = way.last().expect("a way");
-        assert!((end.x - 8.0).abs() < 0.3 && end.y.abs() < 0.3 && (end.z - 2.0).abs() < 0.1, "{end:?}");
-        assert_eq!(field.beyond_length_m(&going(&way)), 0.0);
-        // Known for 3 m alone, and never seen before: what lies beyond costs its price.
-        let mut field = Field::new(10.0);
-        field.update(&home_only(3.0), &FENCE, AT, GOAL, ASK);
-        let cost_m = field.beyond_length_m(&going(&way));
-        assert!((cost_m - 0.3 * 5.0).abs() < 0.2, "{cost_m}");
-        // Across the fence all is closed.
-        let narrow = Fence { most_m: [4.0, 50.0, 6.0], ..FENCE };
-        field.update(&home_only(200.0), &narrow, AT, GOAL, ASK);
-        let cost_m = field.beyond_length_m(&going(&way));
-        assert!((cost_m - (CLOSED_PRICE - 1.0) * 4.0).abs() < 6.0, "{cost_m}");
-        assert_eq!(field.beyond_length_m(&[]), 0.0);
-    }
-
-    #[test]
-    fn hostile_points_are_far() {
-        let mut field = Field::new(10.0);
-        field.update(&home_only(200.0), &FENCE, AT, GOAL, ASK);
-        for hostile in [f64::NAN, f64::INFINITY, -1e300] {
-            assert!(!field.to_goal_m(Point::new(hostile, 0.0, 2.0)).is_finite() || hostile.is_finite());
-            assert!(!field.to_goal_m(Point::new(0.0, 0.0, hostile)).is_nan());
-            field.update(&home_only(200.0), &FENCE, Point::new(hostile, 1e300, hostile), GOAL, ASK);
-            field.update(&home_only(200.0), &FENCE, AT, Point::new(hostile, hostile, hostile), ASK);
-            field.update(&home_only(200.0), &FENCE, AT, GOAL, Ask { height_m: hostile, ..ASK });
-        }
-    }
-
-    /// All is free but a slab across the way from 4 to 6 m, up to a height of 3 m, as far as the image reaches to either side.
-    fn before_a_low_wall() -> View {
-        let mut view = home_only(200.0);
-        let value = |depth_m: f64| (RIG.disparity_px(depth_m) * 64.0) as u16;
-        let (width, height) = (RIG.width_px as usize, RIG.height_px as usize);
-        let cells = (0..width * height).flat_map(|pixel| {
-            let up = (RIG.cy_px - (pixel / width) as f64) / RIG.focal_px;
-            let (front_m, back_m) = if up * 4.0 < 1.0 { (4.0, 6.0) } else { (40.0, 40.0) };
-            [value(0.3), value(front_m), value(back_m), 0]
-        });
-        let rotation = Rotation::<World, Body>::IDENTITY * Rotation::camera_mount(0.0);
-        let pose = Pose { rotation, translation: Vector::new(0.0, 0.0, 2.0) };
-        assert!(view.push(pose, FlightTime::from_nanos(0), cells.collect::<Vec<u16>>().into()));
-        view
-    }
-
-    #[test]
-    fn a_low_wall_is_passed_over_and_behind_it_the_way_comes_down_again() {
-        let (mut field, mut way, view) = (Field::new(10.0), Vec::new(), before_a_low_wall());
-        // No way leads around it.
-        let fence = Fence { least_m: [-20.0, -2.5, 0.5], most_m: [50.0, 2.5, 6.0] };
-        field.update(&view, &fence, AT, GOAL, ASK);
-        let to_goal_m = field.to_goal_m(AT);
-        assert!((40.9..44.0).contains(&to_goal_m), "{to_goal_m}");
-        assert!(field.height_m(AT) > 2.9, "it rises at once: {}", field.height_m(AT));
-        field.way(AT, 15.0, &mut way);
-        assert!(way.iter().filter(|place| (4.2..5.8).contains(&place.x)).all(|place| place.z > 2.8), "{way:?}");
-        assert!(way.iter().all(|place| place.y.abs() < 1.5), "{way:?}");
-        field.update(&view, &fence, Point::new(7.5, 0.0, 4.0), GOAL, ASK);
-        assert!(field.height_m(Point::new(7.5, 0.0, 4.0)) < 2.1, "behind it");
-        // Where the fence ends below its top there is no way left.
-        let low = Fence { most_m: [50.0, 2.5, 2.5], ..fence };
-        field.update(&view, &low, AT, GOAL, ASK);
-        assert!(field.to_goal_m(AT) > to_goal_m + 5.0, "{}", field.to_goal_m(AT));
-    }
-}
+#[path = "field_tests.rs"]
+mod tests;

@@ -3,9 +3,7 @@
 //! What was once seen occupied and has left the map since is remembered as dear, not as closed: errors and drift
 //! must not wall the vehicle in.
 
-use crate::field::{Ask, CELL_M, Cell, Grid};
-use ipc_types::limits::Fence;
-use ipc_types::{Point, World};
+use crate::grid::{CELL_M, Cell, Grid};
 use memory::{Occupancy, Points, Scratch, Unknown, View};
 
 /// Cells along a side of what is remembered, which wraps around: more than the grid's.
@@ -38,18 +36,9 @@ struct Memory {
     closed: bool,
 }
 
-/// Where the vehicle is, and may be.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Place<'a> {
-    pub(crate) at: Point<World>,
-    pub(crate) fence: &'a Fence,
-}
-
-/// See the module's documentation.
+/// What the map says of a grid's cells. Made once, for one level after the other.
 #[derive(Clone, Debug)]
-pub(crate) struct Level {
-    /// Height, m.
-    pub(crate) z_m: f64,
+pub(crate) struct Survey {
     /// Where the map is asked, x, y and z, m; what it says there, and so of every cell.
     places: [Vec<f64>; 3],
     answers: Vec<Occupancy>,
@@ -57,66 +46,44 @@ pub(crate) struct Level {
     scratch: Scratch,
     /// How near something occupied is: 0 where nothing is.
     beside: Vec<u8>,
-    memory: Vec<Option<Memory>>,
 }
 
-impl Level {
+impl Survey {
     /// Of a grid of so many cells.
     pub(crate) fn new(cells: usize) -> Self {
         Self {
-            z_m: 0.0,
             places: [0; 3].map(|_| vec![0.0; cells]),
             answers: vec![Occupancy::Unknown(Unknown::OutOfView); cells],
             seen: vec![Occupancy::Unknown(Unknown::OutOfView); cells],
             scratch: Scratch::default(),
             beside: vec![0; cells],
-            memory: vec![None; REMEMBERED * REMEMBERED],
         }
     }
 
-    /// Moves it to a height. What is remembered is of about this height.
-    pub(crate) fn move_to(&mut self, z_m: f64) {
-        if (z_m - self.z_m).abs() > SAME_HEIGHT_M {
-            self.memory.fill(None);
-        }
-        self.z_m = z_m;
-    }
-
-    /// Asks the map anew, at the level's height and once for every `block`² cells, for a vehicle at `at`: writes the price of
-    /// crossing every cell relative to a free one, infinite where closed.
-    pub(crate) fn update(
-        &mut self,
-        grid: Grid,
-        block: usize,
-        view: &View,
-        place: Place<'_>,
-        ask: Ask,
-        price: &mut [f32],
-    ) {
+    /// Asks the map at a height, once for every `block`² cells. False if it has no answer.
+    pub(crate) fn ask(&mut self, grid: Grid, block: usize, z_m: f64, view: &View, threshold: f32) -> bool {
         let (side, blocks) = (grid.side(), grid.side().div_ceil(block));
         let middle_m = 0.5 * (block - 1) as f64 * CELL_M;
         for index in 0..blocks * blocks {
-            let corner = grid.centre(index / blocks * block * side + index % blocks * block, self.z_m);
+            let corner = grid.centre(index / blocks * block * side + index % blocks * block, z_m);
             (self.places[0][index], self.places[1][index]) = (corner.x + middle_m, corner.y + middle_m);
             self.places[2][index] = corner.z;
         }
         let [x_m, y_m, z_m] = self.places.each_ref().map(|places| &places[..blocks * blocks]);
         let answers = &mut self.answers[..blocks * blocks];
-        let asked = view.occupancies(Points { x_m, y_m, z_m }, ask.threshold, &mut self.scratch, answers);
-        for (index, price) in price.iter_mut().enumerate() {
-            self.seen[index] = self.answers[index / side / block * blocks + index % side / block];
-            let centre = grid.centre(index, self.z_m);
-            *price = if asked.is_ok() && place.fence.contains(centre) {
-                self.price_of(grid.cell(index), self.seen[index], centre.distance(place.at), ask.unknown_price)
-            } else {
-                f32::INFINITY
-            };
+        let asked = view.occupancies(Points { x_m, y_m, z_m }, threshold, &mut self.scratch, answers);
+        for (index, seen) in self.seen.iter_mut().enumerate() {
+            *seen = self.answers[index / side / block * blocks + index % side / block];
         }
-        self.keep_off(side, ask.clearance_price, price);
+        asked.is_ok()
+    }
+
+    pub(crate) fn seen(&self, index: usize) -> Occupancy {
+        self.seen[index]
     }
 
     /// Cells beside something occupied are dear: gaps that one barely fits through are flown slowly, if at all.
-    fn keep_off(&mut self, side: usize, clearance_price: f32, price: &mut [f32]) {
+    pub(crate) fn keep_off(&mut self, side: usize, clearance_price: f32, price: &mut [f32]) {
         self.beside.fill(0);
         for index in (0..price.len()).filter(|&index| self.seen[index] == Occupancy::Occupied) {
             let (column, row) = (index % side, index / side);
@@ -133,8 +100,40 @@ impl Level {
             *price += clearance_price * f32::from(beside) / CLEARANCE as f32;
         }
     }
+}
 
-    fn price_of(&mut self, cell: Cell, seen: Occupancy, from_m: f64, unknown_price: f32) -> f32 {
+/// See the module's documentation.
+#[derive(Clone, Debug)]
+pub(crate) struct Level {
+    /// Height, m.
+    pub(crate) z_m: f64,
+    /// About which height something is remembered, m; and what.
+    remembered_m: f64,
+    memory: Vec<Option<Memory>>,
+}
+
+impl Level {
+    pub(crate) fn new() -> Self {
+        Self { z_m: 0.0, remembered_m: 0.0, memory: vec![None; REMEMBERED * REMEMBERED] }
+    }
+
+    /// Moves it to a height. What is remembered is of about one height.
+    pub(crate) fn move_to(&mut self, z_m: f64) {
+        if (z_m - self.remembered_m).abs() > SAME_HEIGHT_M {
+            self.memory.fill(None);
+            self.remembered_m = z_m;
+        }
+        self.z_m = z_m;
+    }
+
+    /// The most that crossing a cell costs, relative to a free one, where it is not closed.
+    pub(crate) fn dearest(unknown_price: f32, clearance_price: f32) -> f32 {
+        let beside = clearance_price * (CLEARANCE + 1) as f32 / CLEARANCE as f32;
+        (1.0 + unknown_price).max(LOOKED_AT).max(ONCE_OCCUPIED).max(FAR_OCCUPIED) + beside
+    }
+
+    /// Price of crossing a cell relative to a free one; infinite where closed. Remembers what was seen.
+    pub(crate) fn price_of(&mut self, cell: Cell, seen: Occupancy, from_m: f64, unknown_price: f32) -> f32 {
         let side = REMEMBERED as i64;
         let slot = (cell.1.rem_euclid(side) * side + cell.0.rem_euclid(side)) as usize;
         let occupied = match seen {
@@ -166,7 +165,7 @@ mod tests {
 
     #[test]
     fn far_walls_are_dear_until_they_were_seen_from_near() {
-        let (mut level, cell) = (Level::new(9), (30, 4));
+        let (mut level, cell) = (Level::new(), (30, 4));
         let mut price = |seen, from_m| level.price_of(cell, seen, from_m, 0.3);
         assert_eq!(price(Occupancy::Occupied, FAR_M + 2.0), FAR_OCCUPIED);
         assert!(price(Occupancy::Occupied, FAR_M - 1.0).is_infinite());
@@ -177,7 +176,7 @@ mod tests {
 
     #[test]
     fn what_was_occupied_stays_dear_at_its_height() {
-        let (mut level, cell) = (Level::new(9), (5, 0));
+        let (mut level, cell) = (Level::new(), (5, 0));
         assert!(level.price_of(cell, Occupancy::Occupied, 4.0, 0.3).is_infinite());
         let unknown = Occupancy::Unknown(Unknown::OutOfView);
         assert_eq!(level.price_of(cell, unknown, 4.0, 0.3), ONCE_OCCUPIED);
@@ -185,9 +184,10 @@ mod tests {
         let unmeasured = Occupancy::Unknown(Unknown::NoReturn);
         assert_eq!(level.price_of((7, 9), unmeasured, 4.0, 0.3), 1.3);
         assert_eq!(level.price_of((7, 9), unmeasured, 1.0, 0.3), LOOKED_AT, "something may fill the view");
-        level.move_to(0.2);
+        level.move_to(0.4);
         assert_eq!(level.price_of(cell, unknown, 4.0, 0.3), ONCE_OCCUPIED, "hardly moved");
-        level.move_to(1.0);
+        level.move_to(0.8);
+
         assert_eq!(level.price_of(cell, unknown, 4.0, 0.3), 1.3);
         assert!(level.price_of(cell, Occupancy::Occupied, 4.0, 0.3).is_infinite());
         assert_eq!(level.price_of(cell, Occupancy::Free, 4.0, 0.3), 1.0);

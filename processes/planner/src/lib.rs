@@ -22,6 +22,7 @@ mod field;
 #[cfg(test)]
 mod fixtures;
 mod gaze;
+mod grid;
 mod guide;
 mod level;
 mod library;
@@ -92,7 +93,7 @@ pub struct Config {
     pub clearance_price: f64,
     /// Weight of the distance that is lost by turning, at a candidate's end, towards the way that remains.
     pub turning_price: f64,
-    /// Price of a metre off the cruise height, m.
+    /// Price of a metre up or down from the height to keep, m.
     pub height_price: f64,
     /// How much cheaper a new plan must be than the one being flown, m.
     pub hysteresis_m: f64,

@@ -19,7 +19,7 @@ use std::sync::Arc;
 
 /// Slower than this the vehicle looks before it sets out to where it does not look, m/s.
 const LOOK_FIRST_MPS: f64 = 0.9;
-/// What no way at this height costs beyond the path, m.
+/// What no way by the grid costs beyond the path, m.
 const NO_WAY_M: f64 = 20.0;
 /// Shortest move worth making, m: less is standing still.
 const WORTHWHILE_M: f64 = 0.3;
@@ -225,8 +225,8 @@ impl Prices<'_> {
         self.config.turning_price * change * change / (2.0 * self.config.acceleration_mps2)
     }
 
-    /// What remains to the goal, m: around what is known at this height and remembered there. A way that is much longer
-    /// is as good as none, and then the path tells, which may lead over things.
+    /// What remains to the goal, m: around and over what is known and remembered. A way that is much longer is as good as
+    /// none, and then the path tells, which is bound to no level.
     fn to_goal_m(&self, end: Point<World>) -> f64 {
         let level_m = self.field.to_goal_m(end);
         let path_m = self.guide.to_goal_m(end);
