@@ -7,7 +7,7 @@
 //! anywhere, at a price. The field prices candidates and admits none: that is [`crate::admission`]'s alone.
 
 use crate::buckets::Buckets;
-use crate::grid::{CELL_M, Grid, cell_of};
+use crate::grid::{CELL_M, Grid};
 use crate::level::{Level, REMEMBERED, Survey};
 use crate::rollout::Sample;
 use ipc_types::limits::Fence;
@@ -20,11 +20,11 @@ use std::ops::Range;
 /// Distance of the grids from each other, m: whatever a vehicle keeps off by half a metre or more meets one at least.
 const RISE_M: f64 = 1.0;
 /// Grids at most, and how many of them below the one at the height to keep and above it.
-const LEVELS: usize = 5;
+const LEVELS: usize = 4;
 const BELOW: usize = 1;
 const ABOVE: usize = LEVELS - BELOW - 1;
 /// A vehicle farther from the height to keep asks all grids, m.
-const OFF_M: f64 = 0.3;
+const OFF_M: f64 = 0.4;
 /// Those others are asked about once for so many cells along either side: 0.8 m, less than a margin is wide.
 const COARSE: usize = 2;
 /// Most entries of the queue, for every cell: it is reached by its neighbours and from above and below, some of them twice.
@@ -50,8 +50,6 @@ pub(crate) struct Field {
     survey: Survey,
     /// Those that are up to date, from the lowest on: the one at the height to keep, at least.
     known: Range<usize>,
-    /// Whether the way from the vehicle led to another level when it was last known.
-    changes: bool,
     /// Price of a metre up or down.
     height_price: f64,
     /// Of every cell of every level, one level after the other: price of crossing it relative to a free one, infinite where
@@ -79,14 +77,13 @@ pub(crate) struct Ask {
 impl Field {
     /// Grids that reach so far to every side of the vehicle, m.
     pub(crate) fn new(reach_m: f64) -> Self {
-        let grid = Grid::new((reach_m / CELL_M).round().clamp(1.0, REMEMBERED as f64 / 2.0 - 1.0) as i64);
+        let grid = Grid::new((reach_m / CELL_M).round().clamp(1.0, REMEMBERED as f64 / 2.0 - 2.0) as i64);
         let cells = LEVELS * grid.cells();
         Self {
             grid,
             levels: [0; LEVELS].map(|_| Level::new()),
             survey: Survey::new(grid.cells()),
             known: BELOW..BELOW + 1,
-            changes: false,
             height_price: 0.0,
             price: vec![1.0; cells],
             to_goal_m: vec![f32::INFINITY; cells],
@@ -103,13 +100,15 @@ impl Field {
         for (number, level) in self.levels.iter_mut().enumerate() {
             level.move_to(height_m + (number as f64 - BELOW as f64) * RISE_M);
         }
+        // What is asked about once is so until there is less reason for it.
+        let rises = if self.known.len() > 1 { 1.0 } else { 2.0 };
         self.known = BELOW..BELOW + 1;
         self.look(BELOW, view, fence, at, ask);
         self.spread(goal, ask);
         let straight_m = at.distance(goal);
         let seen_m = straight_m.min(self.grid.reach_m());
-        let climbing_m = straight_m + f64::from(ask.unknown_price) * seen_m + 2.0 * RISE_M * ask.height_price;
-        if !self.changes && self.to_goal_m(at) <= climbing_m && (at.z - height_m).abs() < OFF_M {
+        let climbing_m = straight_m + f64::from(ask.unknown_price) * seen_m + rises * RISE_M * ask.height_price;
+        if self.to_goal_m(at) <= climbing_m && (at.z - height_m).abs() < OFF_M {
             return;
         }
         let is_within = |level: &Level| (fence.least_m[2]..=fence.most_m[2]).contains(&level.z_m);
@@ -120,7 +119,6 @@ impl Field {
             self.look(number, view, fence, at, ask);
         }
         self.spread(goal, ask);
-        self.changes = self.level_of(at) != BELOW;
     }
 
     /// Asks the map about a level.
@@ -131,7 +129,7 @@ impl Field {
         let is_asked = survey.ask(*grid, block, levels[level].z_m, view, ask.threshold);
         for (index, price) in price.iter_mut().enumerate() {
             let centre = grid.centre(index, levels[level].z_m);
-            *price = if is_asked && fence.contains(centre) {
+            *price = if is_asked && fence.contains(centre) && !grid.is_border(index) {
                 levels[level].price_of(grid.cell(index), survey.seen(index), centre.distance(at), ask.unknown_price)
             } else {
                 f32::INFINITY
@@ -149,26 +147,22 @@ impl Field {
         let least_m = self.grid.centre(cells / 2, goal.z).distance(goal) - SQRT_2 * (self.grid.reach_m() + CELL_M);
         let dearest = f64::from(Level::dearest(ask.unknown_price, ask.clearance_price));
         self.queue.begin(least_m.max(0.0) as f32, (2.0 * self.grid.side() as f64 * CELL_M * dearest) as f32);
-        for index in self.known.start * cells..self.known.end * cells {
-            if let Some(to_goal_m) = self.source_m(index, goal) {
-                self.reach(index, to_goal_m);
-            }
-        }
-        let rise_m = (self.height_price * RISE_M) as f32;
+        self.begin_spreading(goal);
+        let (rise_m, bottom, top) =
+            ((self.height_price * RISE_M) as f32, self.known.start * cells, self.known.end * cells);
         while let Some((index, so_far_m)) = self.queue.pop() {
             if so_far_m > self.to_goal_m[index] {
                 continue;
             }
-            for next in self.grid.neighbours(index).into_iter().flatten() {
+            for next in self.grid.neighbours(index) {
                 // What is nearer to the goal already is not reached from here.
-                if self.to_goal_m[next] > so_far_m {
+                if self.to_goal_m[next] > so_far_m && self.price[next].is_finite() {
                     let across_m = self.across(next);
                     self.reach(next, across_m);
                 }
             }
-            let level = index / cells;
-            let down = (level > self.known.start).then(|| index - cells);
-            let up = (level + 1 < self.known.end).then(|| index + cells);
+            let down = (index >= bottom + cells).then(|| index - cells);
+            let up = (index + cells < top).then(|| index + cells);
             for next in [down, up].into_iter().flatten() {
                 if self.price[next].is_finite() {
                     self.reach(next, so_far_m + rise_m);
@@ -177,22 +171,26 @@ impl Field {
         }
     }
 
-    /// Length of the way from what it spreads from: the goal itself, and the rims, from which it goes on straight and back at
-    /// the height to keep, m.
-    fn source_m(&self, index: usize, goal: Point<World>) -> Option<f32> {
-        let (level, cell) = (index / self.grid.cells(), index % self.grid.cells());
-        let is_goal = self.grid.cell(cell) == cell_of(goal) && level == self.nearest_level(goal.z);
-        if !is_goal && !(self.grid.is_rim(cell) && self.price[index].is_finite()) {
-            return None;
+    /// From the goal, and from the rims, from which it goes on straight and back at the height to keep.
+    fn begin_spreading(&mut self, goal: Point<World>) {
+        let (grid, cells) = (self.grid, self.grid.cells());
+        let from_m = |cell: usize| grid.centre(cell, goal.z).distance(goal);
+        for level in self.known.clone() {
+            let back_m = self.height_price * RISE_M * level.abs_diff(BELOW) as f64;
+            for cell in grid.rim() {
+                if self.price[level * cells + cell].is_finite() {
+                    self.reach(level * cells + cell, (from_m(cell) + back_m) as f32);
+                }
+            }
         }
-        let off_m = if is_goal { 0.0 } else { RISE_M * level.abs_diff(BELOW) as f64 };
-        Some((self.grid.centre(cell, goal.z).distance(goal) + self.height_price * off_m) as f32)
+        if let Some(cell) = grid.beside(goal, 0, 0) {
+            self.reach(self.nearest_level(goal.z) * cells + cell, from_m(cell) as f32);
+        }
     }
 
     /// Distance of a cell by its neighbours: the upwind solution of |grad d| = price.
     fn across(&self, index: usize) -> f32 {
-        let at = |place: Option<usize>| place.map_or(f32::INFINITY, |place| self.to_goal_m[place]);
-        let [west, east, south, north] = self.grid.neighbours(index).map(at);
+        let [west, east, south, north] = self.grid.neighbours(index).map(|place| self.to_goal_m[place]);
         let (west_east, south_north) = (west.min(east), south.min(north));
         let step = CELL_M as f32 * self.price[index];
         let (near, far) = (west_east.min(south_north), west_east.max(south_north));
@@ -243,6 +241,9 @@ impl Field {
 
     /// The level by which the way from a point leads.
     fn level_of(&self, point: Point<World>) -> usize {
+        if self.known.len() == 1 {
+            return BELOW;
+        }
         let [below, above] = self.levels_at(point.z);
         let mut level = match self.by_level_m(below, point).total_cmp(&self.by_level_m(above, point)) {
             Ordering::Less => below,

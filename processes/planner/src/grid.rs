@@ -1,4 +1,5 @@
-//! Cells of a level grid around the vehicle.
+//! Cells of a level grid around the vehicle. Its outermost cells are a border that is never crossed, so that whatever goes from
+//! cell to cell need not ask whether there is a next one.
 
 use ipc_types::{Point, World};
 
@@ -18,9 +19,9 @@ pub(crate) struct Grid {
 }
 
 impl Grid {
-    /// With so many cells to every side of the vehicle's.
+    /// With so many cells to every side of the vehicle's, and the border.
     pub(crate) fn new(half: i64) -> Self {
-        Self { first: (0, 0), half }
+        Self { first: (0, 0), half: half + 1 }
     }
 
     /// Moves it to where the vehicle is.
@@ -54,36 +55,35 @@ impl Grid {
         Point::new((x as f64 + 0.5) * CELL_M, (y as f64 + 0.5) * CELL_M, z_m)
     }
 
-    /// The cell so many to the east and north of a point's, if there is one.
+    /// The cell so many to the east and north of a point's, if there is one within the border.
     pub(crate) fn beside(self, point: Point<World>, east: i64, north: i64) -> Option<usize> {
         let (x, y) = cell_of(point);
-        let (column, row, side) = (x + east - self.first.0, y + north - self.first.1, self.side() as i64);
-        ((0..side).contains(&column) && (0..side).contains(&row)).then(|| (row * side + column) as usize)
+        let (column, row, last) = (x + east - self.first.0, y + north - self.first.1, self.side() as i64 - 1);
+        ((1..last).contains(&column) && (1..last).contains(&row)).then(|| row as usize * self.side() + column as usize)
     }
 
     /// The same, or where there is none the nearest one on the rim.
     pub(crate) fn nearest(self, point: Point<World>, east: i64, north: i64) -> usize {
-        let ((x, y), last) = (cell_of(point), self.side() as i64 - 1);
-        let (column, row) = ((x + east - self.first.0).clamp(0, last), (y + north - self.first.1).clamp(0, last));
+        let ((x, y), last) = (cell_of(point), self.side() as i64 - 2);
+        let (column, row) = ((x + east - self.first.0).clamp(1, last), (y + north - self.first.1).clamp(1, last));
         row as usize * self.side() + column as usize
     }
 
-    /// Whether a cell has none beside it on some side.
-    pub(crate) fn is_rim(self, index: usize) -> bool {
+    /// The outermost cells within the border, the corners twice.
+    pub(crate) fn rim(self) -> impl Iterator<Item = usize> {
+        let (side, last) = (self.side(), self.side() - 2);
+        (1..=last).flat_map(move |along| [side + along, last * side + along, along * side + 1, along * side + last])
+    }
+
+    /// Whether a cell belongs to the border.
+    pub(crate) fn is_border(self, index: usize) -> bool {
         let (column, row, last) = (index % self.side(), index / self.side(), self.side() - 1);
         column == 0 || row == 0 || column == last || row == last
     }
 
-    /// Cells beside a cell, numbered through several grids one after the other: west, east, south, north.
-    pub(crate) fn neighbours(self, index: usize) -> [Option<usize>; 4] {
-        let (side, within) = (self.side(), index % self.cells());
-        let (column, row) = (within % side, within / side);
-        [
-            (column > 0).then(|| index - 1),
-            (column + 1 < side).then(|| index + 1),
-            (row > 0).then(|| index - side),
-            (row + 1 < side).then(|| index + side),
-        ]
+    /// Cells beside a cell within the border: west, east, south, north.
+    pub(crate) fn neighbours(self, index: usize) -> [usize; 4] {
+        [index - 1, index + 1, index - self.side(), index + self.side()]
     }
 }
 
