@@ -126,8 +126,8 @@ fn a_hedge_across_the_way_is_flown_over() {
     });
     for flight in &flights {
         assert_eq!(flight.outcome, Outcome::Arrived, "{flight:?}");
-        // It is 60 m wide: no way around is as short.
-        assert!(flight.path_length_m < 1.15 * flight.straight_line_m, "{flight:?}");
+        // It is 60 m wide: around it are 86 m.
+        assert!(flight.path_length_m < 72.0, "{flight:?}");
     }
 }
 
