@@ -95,7 +95,8 @@ mod tests {
             out.sort_unstable();
             assert_eq!(out, (0..values.len()).collect::<Vec<_>>());
             // What is less than what came out last is next.
-            (buckets.push(0, least_m + 7.0), buckets.push(1, least_m + 3.0));
+            buckets.push(0, least_m + 7.0);
+            buckets.push(1, least_m + 3.0);
             assert_eq!(buckets.pop(), Some((1, least_m + 3.0)));
             buckets.push(2, least_m + 1.0);
             assert_eq!(buckets.pop(), Some((2, least_m + 1.0)));
