@@ -14,6 +14,19 @@ use rand::RngExt;
 const RIG: StereoRig =
     StereoRig { width_px: 96, height_px: 72, focal_px: 60.0, cx_px: 47.5, cy_px: 35.5, baseline_m: 0.3, doffs_px: 0.0 };
 
+/// A vehicle with a radius of 0.5 m, to which sky is worth 0.7 of what stands below it.
+fn sphere(layers: Layers) -> Config {
+    Config {
+        layers,
+        body_radius_m: 0.3,
+        body_half_height_m: 0.15,
+        hole_px: 4,
+        patch_px: 0,
+        background: BackgroundRule { limit_m: 12.0, share: 0.7, textureless_share: 0.8 },
+        ..Config::for_sphere(0.5)
+    }
+}
+
 #[test]
 fn clear_sky_grants_a_limited_range_and_a_blank_wall_none_beyond_it() {
     for layers in [Layers::Two, Layers::Four] {
@@ -21,15 +34,7 @@ fn clear_sky_grants_a_limited_range_and_a_blank_wall_none_beyond_it() {
             (0..RIG.pixels()).map(|i| if i / 96 < horizon { TEXTURELESS } else { encode(below) }).collect()
         };
         let ahead = |image: &[u16], depth_m: f64| {
-            let config = Config {
-                layers,
-                body_radius_m: 0.3,
-                body_half_height_m: 0.15,
-                hole_px: 4,
-                patch_px: 0,
-                background: BackgroundRule { limit_m: 12.0, share: 0.7, textureless_share: 0.8 },
-                ..Config::for_sphere(0.5)
-            };
+            let config = sphere(layers);
             let noise = NoiseModel {
                 sigma_px: 0.3,
                 sigma_m: 0.0,
@@ -60,15 +65,7 @@ fn the_sky_above_a_wall_does_not_hide_the_wall() {
     for layers in [Layers::Two, Layers::Four] {
         let wall = encode(RIG.disparity_px(8.0) as f32);
         let image = (0..RIG.pixels()).map(|i| if i / 96 < 33 { TEXTURELESS } else { wall }).collect();
-        let config = Config {
-            layers,
-            body_radius_m: 0.3,
-            body_half_height_m: 0.15,
-            hole_px: 4,
-            patch_px: 0,
-            background: BackgroundRule { limit_m: 12.0, share: 0.7, textureless_share: 0.8 },
-            ..Config::for_sphere(0.5)
-        };
+        let config = sphere(layers);
         let noise =
             NoiseModel { sigma_px: 0.1, sigma_m: 0.0, lambda_near: 1.0, lambda_far: 1.0, near_px: 6.0, far_px: 1.5 };
         let mut scene = Scene { rig: RIG, noise, config, image };

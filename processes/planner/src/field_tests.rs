@@ -1,8 +1,7 @@
 //! The cost-to-go on maps made by hand.
 
 use super::*;
-use crate::fixtures::{FENCE, RIG, home_only};
-use ipc_types::{Body, FlightTime, Pose, Rotation};
+use crate::fixtures::{FENCE, RIG, before, home_only};
 
 const ASK: Ask = Ask { threshold: 0.9, unknown_price: 0.3, clearance_price: 0.0, height_m: 2.0, height_price: 0.5 };
 const GOAL: Point<World> = Point::new(40.0, 0.0, 2.0);
@@ -79,18 +78,10 @@ fn hostile_points_are_far() {
 
 /// All is free but a slab across the way from 4 to 6 m, up to a height of 3 m, as far as the image reaches to either side.
 fn before_a_low_wall() -> View {
-    let mut view = home_only(200.0);
-    let value = |depth_m: f64| (RIG.disparity_px(depth_m) * 64.0) as u16;
-    let (width, height) = (RIG.width_px as usize, RIG.height_px as usize);
-    let cells = (0..width * height).flat_map(|pixel| {
-        let up = (RIG.cy_px - (pixel / width) as f64) / RIG.focal_px;
-        let (front_m, back_m) = if up * 4.0 < 1.0 { (4.0, 6.0) } else { (40.0, 40.0) };
-        [value(0.3), value(front_m), value(back_m), 0]
-    });
-    let rotation = Rotation::<World, Body>::IDENTITY * Rotation::camera_mount(0.0);
-    let pose = Pose { rotation, translation: Vector::new(0.0, 0.0, 2.0) };
-    assert!(view.push(pose, FlightTime::from_nanos(0), cells.collect::<Vec<u16>>().into()));
-    view
+    before(|_, row| {
+        let up = (RIG.cy_px - row as f64) / RIG.focal_px;
+        if up * 4.0 < 1.0 { [4.0, 6.0] } else { [40.0, 40.0] }
+    })
 }
 
 #[test]

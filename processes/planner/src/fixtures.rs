@@ -64,6 +64,22 @@ pub(crate) fn home_only(radius_m: f64) -> View {
     View::new(model, FreeSpace::new(rule, Point::ZERO))
 }
 
+/// All is free, but for what one image sees from 2 m above the origin, towards the east: by column and row, where something
+/// begins and ends, m.
+pub(crate) fn before(depths_m: impl Fn(usize, usize) -> [f64; 2]) -> View {
+    let mut view = home_only(200.0);
+    let value = |depth_m: f64| (RIG.disparity_px(depth_m) * 64.0) as u16;
+    let width = RIG.width_px as usize;
+    let cells = (0..RIG.pixels()).flat_map(|pixel| {
+        let [front_m, back_m] = depths_m(pixel % width, pixel / width);
+        [value(0.3), value(front_m), value(back_m), 0]
+    });
+    let rotation = Rotation::<World, Body>::IDENTITY * Rotation::camera_mount(0.0);
+    let pose = Pose { rotation, translation: Vector::new(0.0, 0.0, 2.0) };
+    assert!(view.push(pose, FlightTime::from_nanos(0), cells.collect::<Vec<u16>>().into()));
+    view
+}
+
 /// All is free, but for a wall across the x axis whose margin begins at 4 m, as two images see it.
 pub(crate) fn before_a_wall() -> View {
     let mut view = home_only(200.0);

@@ -151,8 +151,7 @@ fn inset(fence: Fence) -> Fence {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fixtures::{FENCE, RIG, config, home_only};
-    use ipc_types::{Body, FlightTime, Pose, Rotation, Vector};
+    use crate::fixtures::{FENCE, RIG, before, config, home_only};
 
     const GOAL: Point<World> = Point::new(60.0, 0.0, 2.0);
     const FROM: Point<World> = Point::new(0.0, 0.0, 2.0);
@@ -160,18 +159,10 @@ mod tests {
     /// All is free but a slab across the way, whose margin begins at 3 m and fills all of the image's columns but the
     /// outermost; its upper edge, if any, is at row `top`.
     fn before_a_slab(top: usize) -> View {
-        let mut view = home_only(200.0);
-        let value = |depth_m: f64| (RIG.disparity_px(depth_m) * 64.0) as u16;
-        let free = [value(0.3), value(30.0), value(30.0), 0];
-        let (width, height) = (RIG.width_px as usize, RIG.height_px as usize);
-        let cells = (0..width * height).flat_map(|pixel| {
-            let is_slab = pixel / width >= top && (4..width - 2).contains(&(pixel % width));
-            if is_slab { [value(0.3), value(3.0), value(4.0), 0] } else { free }
-        });
-        let rotation = Rotation::<World, Body>::IDENTITY * Rotation::camera_mount(0.0);
-        let pose = Pose { rotation, translation: Vector::new(0.0, 0.0, 2.0) };
-        assert!(view.push(pose, FlightTime::from_nanos(0), cells.collect::<Vec<u16>>().into()));
-        view
+        before(|column, row| {
+            let is_slab = row >= top && (4..RIG.width_px as usize - 2).contains(&column);
+            if is_slab { [3.0, 4.0] } else { [30.0, 30.0] }
+        })
     }
 
     fn guide(view: &View) -> Guide {

@@ -187,7 +187,6 @@ mod tests {
         level.move_to(0.4);
         assert_eq!(level.price_of(cell, unknown, 4.0, 0.3), ONCE_OCCUPIED, "hardly moved");
         level.move_to(0.8);
-
         assert_eq!(level.price_of(cell, unknown, 4.0, 0.3), 1.3);
         assert!(level.price_of(cell, Occupancy::Occupied, 4.0, 0.3).is_infinite());
         assert_eq!(level.price_of(cell, Occupancy::Free, 4.0, 0.3), 1.0);

@@ -228,12 +228,12 @@ impl Prices<'_> {
     /// What remains to the goal, m: around and over what is known and remembered. A way that is much longer is as good as
     /// none, and then the path tells, which is bound to no level.
     fn to_goal_m(&self, end: Point<World>) -> f64 {
+        let straight_m = end.distance(self.situation.goal);
         // Close to the goal the grid tells nothing of the height, which is all that may be left.
-        let level_m =
-            self.field.to_goal_m(end).max(if self.near_goal { end.distance(self.situation.goal) } else { 0.0 });
+        let level_m = self.field.to_goal_m(end).max(if self.near_goal { straight_m } else { 0.0 });
         let path_m = self.guide.to_goal_m(end);
         // Where there is no path either, far is better than nothing.
-        level_m.min(NO_WAY_M + if path_m.is_finite() { path_m } else { end.distance(self.situation.goal) })
+        level_m.min(NO_WAY_M + if path_m.is_finite() { path_m } else { straight_m })
     }
 
     /// Prices all candidates, and refines the cheapest manoeuvres.
