@@ -7,7 +7,7 @@
 //! anywhere, at a price. The field prices candidates and admits none: that is [`crate::admission`]'s alone.
 
 use crate::buckets::Buckets;
-use crate::grid::{CELL_M, Grid};
+use crate::grid::{CELL_M, Grid, cell_of};
 use crate::level::{Level, REMEMBERED, Survey};
 use crate::rollout::Sample;
 use ipc_types::limits::Fence;
@@ -183,7 +183,7 @@ impl Field {
                 }
             }
         }
-        if let Some(cell) = grid.beside(goal, 0, 0) {
+        if let Some(cell) = grid.beside(cell_of(goal), 0, 0) {
             self.reach(self.nearest_level(goal.z) * cells + cell, from_m(cell) as f32);
         }
     }
@@ -218,10 +218,10 @@ impl Field {
 
     /// The same by way of a level.
     fn by_level_m(&self, level: usize, point: Point<World>) -> f64 {
-        let mut least = f64::INFINITY;
+        let (cell, mut least) = (cell_of(point), f64::INFINITY);
         for (east, north) in (-1..=1).flat_map(|east| (-1..=1).map(move |north| (east, north))) {
             // What lies beyond the grid is reached straight from its rim.
-            let index = self.grid.nearest(point, east, north);
+            let index = self.grid.nearest(cell, east, north);
             let to_goal_m = f64::from(self.to_goal_m[level * self.grid.cells() + index]);
             least = least.min(to_goal_m + self.grid.centre(index, point.z).distance(point));
         }
@@ -250,7 +250,7 @@ impl Field {
             Ordering::Greater => above,
             Ordering::Equal => self.nearest_level(point.z),
         };
-        let Some(cell) = self.grid.beside(point, 0, 0) else { return level };
+        let Some(cell) = self.grid.beside(cell_of(point), 0, 0) else { return level };
         let to_goal_m = |level: usize| f64::from(self.to_goal_m[level * self.grid.cells() + cell]);
         let rise_m = self.height_price * RISE_M - EARLY_M.min(0.4 * self.height_price * RISE_M);
         while level + 1 < self.known.end && to_goal_m(level + 1) + rise_m < to_goal_m(level) {
@@ -288,7 +288,7 @@ impl Field {
     /// Price of a metre at a place, relative to a free one; beyond the grid nothing is known to stand.
     fn price_at(&self, place: Point<World>) -> f64 {
         let price = |cell: usize| f64::from(self.price[self.nearest_level(place.z) * self.grid.cells() + cell]);
-        self.grid.beside(place, 0, 0).map_or(1.0, price)
+        self.grid.beside(cell_of(place), 0, 0).map_or(1.0, price)
     }
 
     /// The way to the goal from a place, downhill, as far as the grids know it and about `most_m` long at most.
@@ -318,8 +318,9 @@ impl Field {
     }
 
     fn downhill_on(&self, level: usize, point: Point<World>) -> Option<Vector<World>> {
+        let around = cell_of(point);
         let at = |east: i64, north: i64| {
-            let cell = self.grid.beside(point, east, north)?;
+            let cell = self.grid.beside(around, east, north)?;
             let value = self.to_goal_m[level * self.grid.cells() + cell];
             value.is_finite().then_some(f64::from(value))
         };

@@ -55,16 +55,15 @@ impl Grid {
         Point::new((x as f64 + 0.5) * CELL_M, (y as f64 + 0.5) * CELL_M, z_m)
     }
 
-    /// The cell so many to the east and north of a point's, if there is one within the border.
-    pub(crate) fn beside(self, point: Point<World>, east: i64, north: i64) -> Option<usize> {
-        let (x, y) = cell_of(point);
+    /// The cell so many to the east and north of another, if there is one within the border.
+    pub(crate) fn beside(self, (x, y): Cell, east: i64, north: i64) -> Option<usize> {
         let (column, row, last) = (x + east - self.first.0, y + north - self.first.1, self.side() as i64 - 1);
         ((1..last).contains(&column) && (1..last).contains(&row)).then(|| row as usize * self.side() + column as usize)
     }
 
     /// The same, or where there is none the nearest one on the rim.
-    pub(crate) fn nearest(self, point: Point<World>, east: i64, north: i64) -> usize {
-        let ((x, y), last) = (cell_of(point), self.side() as i64 - 2);
+    pub(crate) fn nearest(self, (x, y): Cell, east: i64, north: i64) -> usize {
+        let last = self.side() as i64 - 2;
         let (column, row) = ((x + east - self.first.0).clamp(1, last), (y + north - self.first.1).clamp(1, last));
         row as usize * self.side() + column as usize
     }
