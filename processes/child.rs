@@ -1,7 +1,9 @@
 //! One process of the graph, as the supervisor spawns it.
 
 use crate::config::FlightConfig;
+use crate::crash;
 use crate::graph;
+use crate::logging;
 use crate::replay_input::{self, DEFAULT_RATE_HZ};
 use crate::run_files::{CONFIG, LOG, VERSION};
 use clap::Args;
@@ -33,6 +35,9 @@ pub struct ChildArguments {
     /// Which restart this is.
     #[arg(long, default_value_t = 0)]
     incarnation: u32,
+    /// Makes its messages others than they are: for showing that such a process is refused.
+    #[arg(long, default_value_t = 0)]
+    schema_salt: u64,
     /// What the player shows: files or folders; nothing for the vehicle alone.
     #[arg(long)]
     play: Vec<PathBuf>,
@@ -55,7 +60,20 @@ pub fn run(arguments: &ChildArguments) -> Result<(), Box<dyn Error>> {
     let config = FlightConfig::load_snapshot(&path)?;
     let run = RunDir::named(&arguments.run)?;
     let lease = Duration::from_secs_f64(config.graph.lease_s);
-    let options = DriveOptions { incarnation: arguments.incarnation, supervisor: arguments.supervisor, lease };
+    let (process, incarnation) = (arguments.process, arguments.incarnation);
+    crash::report_panics(&arguments.run_dir, process, incarnation);
+    let _log = logging::begin(&arguments.run_dir, &arguments.run, process, incarnation)?;
+    for refused in config.graph.resources(process).apply() {
+        tracing::warn!(refused, "not permitted");
+        eprintln!("sparrowhawk: {process}: {refused}");
+    }
+    let options = DriveOptions {
+        incarnation,
+        supervisor: arguments.supervisor,
+        lease,
+        faults: config.faults.clone(),
+        schema_salt: arguments.schema_salt,
+    };
     let rig = &config.vehicle.rig;
     match arguments.process {
         ProcessId::StereoIngest => drive(graph::stereo_ingest(&config), &run, rig, options)?,

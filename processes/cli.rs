@@ -10,6 +10,7 @@ use crate::fly::{FlyArguments, fly};
 use crate::map::{MapArguments, map};
 use crate::replay::{ReplayArguments, replay};
 use crate::run_files::VERSION;
+use crate::status::{StatusArguments, status};
 use crate::stereo::{StereoArguments, stereo};
 use clap::{Args, Parser, Subcommand};
 use std::error::Error;
@@ -49,6 +50,8 @@ enum Command {
     Curves(CurvesArguments),
     /// Calibrate a stereo pair from chessboards, or check a calibration; measure the disparity error.
     Calibrate(CalibrateArguments),
+    /// Watch a flight that is under way: its processes, as a live table.
+    Status(StatusArguments),
     /// Check a configuration: every value, and how they fit each other.
     Check(CheckArguments),
     /// One process of a run; the supervisor starts these.
@@ -80,6 +83,7 @@ pub fn run() -> Result<ExitCode, Box<dyn Error>> {
         Command::Map(arguments) => map(&arguments),
         Command::Curves(arguments) => curves(&arguments),
         Command::Calibrate(arguments) => calibrate::run(&arguments),
+        Command::Status(arguments) => status(&arguments),
         Command::Check(arguments) => check(&arguments),
         Command::Process(arguments) => child::run(&arguments).map(|()| ExitCode::SUCCESS),
     }

@@ -6,6 +6,7 @@
 use crate::graph_config::GraphConfig;
 pub use crate::vehicle_config::VehicleConfig;
 use ipc_types::bounds::Bounds;
+use runtime::faults::Fault;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use simulator::{Piloted, Trouble, WorldConfig, WorldError};
@@ -79,6 +80,8 @@ pub struct FlightConfig {
     pub trouble: Trouble,
     /// When a pilot flies the simulated vehicle.
     pub pilot: Vec<Piloted>,
+    /// What is made to go wrong.
+    pub faults: Vec<Fault>,
 }
 
 /// The configuration files that ship, compiled in.
@@ -215,6 +218,7 @@ impl FlightConfig {
             noise_camera: false,
             trouble: Trouble::default(),
             pilot: Vec::new(),
+            faults: Vec::new(),
         };
         let files = [label, vehicle_path, world_path, graph_path];
         config.check_values(&files)?;
@@ -280,6 +284,7 @@ impl FlightConfig {
         bounds.section("mission", |bounds| self.mission.check(bounds));
         bounds.section("trouble", |bounds| self.trouble.check(bounds));
         bounds.section("pilot", |bounds| self.pilot.iter().for_each(|piloted| piloted.check(bounds)));
+        crate::fault_file::check(&self.faults, &mut bounds);
         self.check_stopping(&mut bounds);
         self.check_places(&mut bounds);
         self.check_deadlines(&mut bounds);

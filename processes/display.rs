@@ -1,10 +1,10 @@
 //! What a flight shows while it flies: one line of progress and a table of processes. Quiet when not a terminal.
 
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
-use ipc_types::messages::{HealthLevel, PlanMode};
+use ipc_types::messages::{HealthLevel, PlanMode, Rung};
 use ipc_types::{Point, Vector, World};
 use std::time::{Duration, Instant};
-use supervisor::{ChildState, ChildStatus, Mission};
+use supervisor::{ChildStatus, Mission, Phase};
 
 /// Redraws a second.
 const REDRAWS_HZ: u8 = 5;
@@ -59,8 +59,10 @@ impl Display {
         let position = Point::<World>::from_array(truth.position_m);
         let speed = Vector::<World>::from_array(truth.velocity_mps).norm();
         let latency = mission.recorder().exposure_to_command();
+        let rung = mission.rung();
+        let rung = if rung.rung == Rung::Full { String::new() } else { format!("  {}: {}", rung.rung, rung.reason) };
         format!(
-            "{:6.1} s  {mode:<11} {:5.1} m to goal  {speed:4.1} m/s  clearance {:4.2} m  exposure→command {:.0} ms  clock {:.2}",
+            "{:6.1} s  {mode:<11} {:5.1} m to goal  {speed:4.1} m/s  clearance {:4.2} m  exposure→command {:.0} ms  clock {:.2}{rung}",
             mission.now().as_secs_f64(),
             position.distance(self.goal),
             truth.clearance_m,
@@ -97,11 +99,13 @@ pub(crate) fn complaint(child: &ChildStatus) -> Option<String> {
 
 fn process_line(child: &ChildStatus) -> String {
     let pid = child.pid.map_or("-".to_owned(), |pid| pid.to_string());
-    let state = match child.state {
-        ChildState::Running => "running",
-        ChildState::BackingOff => "restarting",
-        ChildState::GivenUp => "given up",
-        ChildState::Stopped => "stopped",
+    let state = match child.phase {
+        Phase::Starting => "starting",
+        Phase::Running => "running",
+        Phase::Ending { .. } => "ending",
+        Phase::BackingOff(_) => "restarting",
+        Phase::GivenUp(_) => "given up",
+        Phase::Stopped => "stopped",
     };
     let health = child.health.map_or(String::new(), |health| {
         format!(

@@ -1,28 +1,24 @@
 //! `sparrowhawk fly`: a flight in the simulator, over processes or in lockstep.
 
 use crate::config::FlightConfig;
-use crate::display::{Display, why_not_ready};
+use crate::display::Display;
 use crate::draw::Pictures;
+use crate::fault_file::FaultFile;
+use crate::flight_run;
 use crate::graph::Flight;
-use crate::graph_config::Member;
 use crate::numbers::parse_numbers;
 use crate::run_files::{CONFIG, RunFiles, VERSION, fresh_name};
+use crate::run_record::RunRecord;
 use crate::troubles::TroubleArguments;
 use clap::Args;
-use ipc_types::ProcessId;
 use recorder::RecorderProcess;
-use runtime::Process;
-use runtime::ipc::{IpcPorts, Services};
-use runtime::run_dir::RunDir;
+use runtime::run_dir::{RunDir, RunLock};
 use simulator::Piloted;
 use std::error::Error;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use supervisor::{
-    ATTENTION, AtGoal, ChildCommand, ChildStatus, Happening, LatencySummary, Losses, Mission, Outcome, ProcessSummary,
-    SignalWatch, Summary, Supervision,
-};
+use supervisor::{AtGoal, LatencySummary, Losses, Outcome, SignalWatch, Summary};
 
 /// Options of a flight.
 #[derive(Clone, Debug, Args)]
@@ -70,6 +66,13 @@ pub(crate) struct FlyArguments {
     pub(crate) noise_camera: bool,
     #[command(flatten)]
     pub(crate) trouble: TroubleArguments,
+    /// Inject the faults of this file (RON) into the processes of the flight, its messages, sensors and machine.
+    #[arg(long, value_name = "FILE", conflicts_with = "lockstep")]
+    pub(crate) faults: Option<PathBuf>,
+    /// Take over the run of that name if its supervisor has died and its processes still fly; all else is as that run was
+    /// started. If there is none, start it.
+    #[arg(long, requires = "run", conflicts_with = "lockstep")]
+    pub(crate) adopt: bool,
     /// Record images too.
     #[arg(long)]
     pub(crate) record_images: bool,
@@ -98,6 +101,7 @@ impl FlyArguments {
         config.noise_camera = self.noise_camera;
         config.trouble = self.trouble.trouble();
         config.pilot = self.pilot.iter().map(piloted).collect();
+        config.faults = self.faults.as_deref().map(FaultFile::load).transpose()?.unwrap_or_default().faults;
         if !self.waypoint.is_empty() {
             config.mission.waypoints_m.clone_from(&self.waypoint);
         }
@@ -118,15 +122,39 @@ pub(crate) fn fly(arguments: &FlyArguments) -> Result<ExitCode, Box<dyn Error>> 
     let signals = SignalWatch::begin()?;
     let name = arguments.run.clone().unwrap_or_else(fresh_name);
     let run = RunDir::named(&name)?;
+    if arguments.adopt
+        && let Some(lock) = run.take_over()?
+    {
+        return take_over(arguments, &run, lock, signals);
+    }
     let lock = run.take()?;
     let files = RunFiles::create(&arguments.run_dir, &name, &config, arguments.summary.as_deref())?;
     let summary = match arguments.lockstep {
         true => fly_in_lockstep(&config, &files, &arguments.draw)?,
-        false => fly_processes(&config, &run, &files, signals)?,
+        false => flight_run::fly(&config, &run, &files, signals, None)?,
     };
+    conclude(lock, &files, &summary)
+}
+
+/// Goes on with a flight whose supervisor has died, as it was configured.
+fn take_over(
+    arguments: &FlyArguments,
+    run: &RunDir,
+    lock: RunLock,
+    signals: SignalWatch,
+) -> Result<ExitCode, Box<dyn Error>> {
+    let record = RunRecord::read(run)?;
+    let config = FlightConfig::load_snapshot(&record.folder.join(CONFIG))?;
+    let files = RunFiles::reopen(&record.folder, arguments.summary.as_deref());
+    eprintln!("sparrowhawk: taking over run \"{}\", whose supervisor {} has died", run.name(), record.supervisor);
+    let summary = flight_run::fly(&config, run, &files, signals, Some(&record))?;
+    conclude(lock, &files, &summary)
+}
+
+fn conclude(lock: RunLock, files: &RunFiles, summary: &Summary) -> Result<ExitCode, Box<dyn Error>> {
     drop(lock);
-    print!("{}", report(&summary, files.folder()));
-    files.write_summary(&summary)?;
+    print!("{}", report(summary, files.folder()));
+    files.write_summary(summary)?;
     Ok(if summary.outcome == Outcome::Arrived { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
@@ -149,83 +177,6 @@ fn fly_in_lockstep(config: &FlightConfig, files: &RunFiles, draw: &[f64]) -> Res
     failed.map_or(Ok(summary), Err)
 }
 
-/// The command line of a child.
-pub(crate) fn command(
-    config: &FlightConfig,
-    run: &RunDir,
-    folder: &Path,
-    member: Member,
-) -> std::io::Result<ChildCommand> {
-    let process = member.process;
-    let program = std::env::current_exe()?.display().to_string();
-    let folder = folder.display().to_string();
-    let own = std::process::id().to_string();
-    let arguments =
-        [program.as_str(), "process", process.name(), "--run", run.name(), "--run-dir", &folder, "--supervisor", &own];
-    Ok(ChildCommand {
-        process,
-        arguments: arguments.map(str::to_owned).to_vec(),
-        restart: member.restarts.then_some(config.graph.restart),
-        is_essential: member.is_essential,
-    })
-}
-
-fn fly_processes(
-    config: &FlightConfig,
-    run: &RunDir,
-    files: &RunFiles,
-    signals: SignalWatch,
-) -> Result<Summary, Box<dyn Error>> {
-    let services = Services::create(run)?;
-    let mut mission = Mission::new(config.mission.clone());
-    let mut ports = IpcPorts::open(run, ProcessId::Supervisor, 0, &config.vehicle.rig, |ports| {
-        mission.connect(ports);
-        ports.follow_flight_clock();
-    })?;
-    let commands: std::io::Result<Vec<_>> =
-        config.graph.processes.iter().map(|&member| command(config, run, files.folder(), member)).collect();
-    let mut supervision = Supervision::start(commands?, signals)?;
-    let mut display = Display::new(config.mission.goal());
-    while mission.outcome().is_none() {
-        match supervision.attend(&services, ATTENTION) {
-            Happening::Signal(_) => mission.end(Outcome::Interrupted),
-            Happening::RunEnded(process, how) => {
-                eprintln!("sparrowhawk: {process} {how}: the run is over");
-                mission.end(Outcome::ProcessLost);
-            }
-            Happening::Died(process, how) => eprintln!("sparrowhawk: {process} {how}: restarting it"),
-            Happening::GivenUp(process, how) => eprintln!("sparrowhawk: {process} {how}: going on without it"),
-            Happening::Nothing => {}
-        }
-        ports.refresh();
-        mission.step(&mut ports);
-        ports.serve_late_subscribers();
-        mission.take_heartbeats().iter().for_each(|health| supervision.heard(health));
-        supervision.kill_silent();
-        display.show(&mission, &supervision.status());
-    }
-    display.clear();
-    if mission.truth().is_none_or(|truth| truth.airborne == 0) {
-        eprintln!("sparrowhawk: never took off: {}", why_not_ready(&supervision.status()));
-    }
-    let children = supervision.stop();
-    Ok(with_processes(mission.summary(), &children))
-}
-
-/// Adds the processes, the supervisor among them.
-fn with_processes(mut summary: Summary, children: &[ChildStatus]) -> Summary {
-    summary.processes = children.iter().map(ProcessSummary::of).collect();
-    summary.restarts = children.iter().map(|child| child.restarts).sum();
-    summary.processes.push(ProcessSummary {
-        name: ProcessId::Supervisor.name().to_owned(),
-        pid: Some(std::process::id()),
-        restarts: 0,
-        longest_recovery_ms: None,
-        longest_step_ms: 0.0,
-    });
-    summary
-}
-
 /// Which processes lost messages, and how many.
 fn losses(summary: &Summary) -> String {
     if summary.losses.is_empty() {
@@ -244,7 +195,8 @@ pub fn report(summary: &Summary, folder: &Path) -> String {
         Outcome::GaveUp => "gave up: no way was found",
         Outcome::TimedOut => "timed out",
         Outcome::Interrupted => "interrupted",
-        Outcome::ProcessLost => "ended by the loss of a process",
+        Outcome::HandedBack => "handed back to the flight control unit: a process was given up",
+        Outcome::ProcessLost => "ended by the loss of the world",
     };
     let clearance = summary.min_clearance_m.map_or("more than 5 m".to_owned(), |m| format!("{m:.2} m"));
     let mut text = String::new();
@@ -285,6 +237,27 @@ pub fn report(summary: &Summary, folder: &Path) -> String {
     }
     line("exposure → command", latency(&summary.exposure_to_command));
     line("restarts", summary.restarts.to_string());
+    for process in summary.processes.iter().filter(|process| process.given_up.is_some()) {
+        line("given up", format!("{}: {}", process.name, process.given_up.as_deref().unwrap_or_default()));
+    }
+    if summary.takeovers > 0 {
+        line("takeovers", format!("{}; figures are of the time since the last one", summary.takeovers));
+    }
+    for step in &summary.degradation {
+        line(
+            "rung",
+            format!(
+                "{:.1} s: {}{}{}",
+                step.at_s,
+                step.rung,
+                if step.reason.is_empty() { "" } else { ", " },
+                step.reason
+            ),
+        );
+    }
+    for fault in &summary.faults {
+        line("fault", format!("{:.1} s: {} of {}", fault.at_s, fault.fault, fault.victim));
+    }
     if let Some(hash) = &summary.log_hash {
         line("message log hash", hash.clone());
     }

@@ -106,6 +106,7 @@ pub fn simulator(config: &FlightConfig) -> Result<SimulatorSetup, WorldError> {
         noise_camera: config.noise_camera,
         trouble: config.trouble,
         pilot: config.pilot.clone(),
+        faults: config.faults.clone(),
     })
 }
 
@@ -134,7 +135,7 @@ impl Flight {
     /// There is no world to fly in.
     pub fn new(config: &FlightConfig, recorder: Option<RecorderProcess>) -> Result<Self, WorldError> {
         let mut lockstep = Lockstep::new(config.seed, config.graph.latency.clone());
-        let mission = lockstep.add(Mission::new(config.mission.clone()));
+        let mission = lockstep.add(Mission::new(config.mission.clone(), config.graph.ladder));
         let simulator = lockstep.add(SimulatorProcess::inline(simulator(config)?));
         lockstep.add(stereo_ingest(config));
         lockstep.add(expansion(config));

@@ -3,20 +3,21 @@
 
 use ipc_types::ProcessId;
 use ipc_types::bounds::Bounds;
+use runtime::Resources;
 use runtime::lockstep::LatencyModel;
 use serde::{Deserialize, Serialize};
-use supervisor::RestartRule;
+use supervisor::{Criticality, LadderConfig, Rule};
 
 /// A process of the graph.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Member {
     /// Which.
     pub process: ProcessId,
-    /// Whether it is restarted; else its death ends the run.
-    pub restarts: bool,
-    /// Whether the run ends when it dies too often; else the run goes on without it.
-    pub is_essential: bool,
+    /// What it is worth, and how it is brought back.
+    pub rule: Rule,
+    /// What it may use of the machine.
+    pub resources: Resources,
 }
 
 /// The process graph.
@@ -27,8 +28,8 @@ pub struct GraphConfig {
     pub processes: Vec<Member>,
     /// How long a process lives on after its supervisor has died, s.
     pub lease_s: f64,
-    /// Restarting.
-    pub restart: RestartRule,
+    /// How far a flight is scaled down for what does not work.
+    pub ladder: LadderConfig,
     /// Latencies of the lockstep driver.
     pub latency: LatencyModel,
 }
@@ -47,12 +48,18 @@ impl GraphConfig {
     /// The processes that make something of a frame, whoever delivers it: without world and vehicle, and those who fly it.
     pub(crate) fn digesting(&self) -> impl Iterator<Item = Member> {
         let flies = |process| matches!(process, ProcessId::Simulator | ProcessId::Planner | ProcessId::Controller);
-        self.processes.iter().copied().filter(move |member| !flies(member.process))
+        self.processes.iter().filter(move |member| !flies(member.process)).cloned()
+    }
+
+    /// What a process may use of the machine; all of it for one that is no member.
+    pub(crate) fn resources(&self, process: ProcessId) -> Resources {
+        let member = self.processes.iter().find(|member| member.process == process);
+        member.map(|member| member.resources.clone()).unwrap_or_default()
     }
 
     pub(crate) fn check(&self, bounds: &mut Bounds) {
         bounds.range("lease_s", self.lease_s, 0.0..=60.0);
-        bounds.section("restart", |bounds| self.restart.check(bounds));
+        bounds.section("ladder", |bounds| self.ladder.check(bounds));
         bounds.section("latency", |bounds| self.latency.check(bounds));
         bounds.section("processes", |bounds| {
             let times = |process| self.processes.iter().filter(|member| member.process == process).count();
@@ -66,7 +73,14 @@ impl GraphConfig {
                 bounds.require(is_child, name, "is not a process that a flight starts");
                 // A world that begins anew under a vehicle in flight is another world.
                 let is_world = member.process == ProcessId::Simulator;
-                bounds.require(!(is_world && member.restarts), name, "cannot be restarted, expected restarts: false");
+                let is_called_world = member.rule.criticality == Criticality::World;
+                let message =
+                    "is the world if, and only if, it is the simulator: expected criticality world there alone";
+                bounds.require(is_world == is_called_world, name, message);
+                bounds.section(name, |bounds| {
+                    bounds.section("rule", |bounds| member.rule.check(bounds));
+                    bounds.section("resources", |bounds| member.resources.check(bounds));
+                });
             }
         });
     }
@@ -75,6 +89,7 @@ impl GraphConfig {
 #[cfg(test)]
 mod tests {
     use crate::config::FlightConfig;
+    use supervisor::Criticality;
 
     #[test]
     fn graphs_that_cannot_fly_are_named() {
@@ -87,10 +102,13 @@ mod tests {
         assert!(
             complaint(|graph| graph.processes.retain(|member| member.process.name() != "memory")).contains("memory")
         );
-        assert!(complaint(|graph| graph.processes.push(graph.processes[0])).contains("more than once"));
+        assert!(complaint(|graph| graph.processes.push(graph.processes[0].clone())).contains("more than once"));
         assert!(
-            complaint(|graph| graph.processes.iter_mut().for_each(|member| member.restarts = true))
-                .contains("simulator")
+            complaint(|graph| graph
+                .processes
+                .iter_mut()
+                .for_each(|member| member.rule.criticality = Criticality::Flight))
+            .contains("simulator")
         );
         assert!(complaint(|graph| graph.latency.0.push(graph.latency.0[0])).contains("more than once"));
     }

@@ -1,7 +1,7 @@
 //! `sparrowhawk replay`: real images through the multi-process graph.
 
 use crate::config::FlightConfig;
-use crate::fly::command;
+use crate::flight_run::command;
 use crate::graph::map_model;
 use crate::graph_config::Member;
 use crate::replay_input::{Input, InputArguments};
@@ -132,13 +132,15 @@ fn commands(
     input: &Input,
     rate_hz: f64,
 ) -> std::io::Result<Vec<ChildCommand>> {
-    let player = Member { process: ProcessId::Player, restarts: false, is_essential: true };
-    // A camera that is unplugged is opened again; one that cannot be opened at all ends the run.
-    let camera = Member { process: ProcessId::Camera, restarts: false, is_essential: true };
-    let camera = matches!(input, Input::Camera(_)).then_some(camera);
-    let members = config.graph.digesting().chain([player]).chain(camera);
-    let mut commands: Vec<_> =
-        members.map(|member| command(config, run, folder, member)).collect::<std::io::Result<_>>()?;
+    // They stand for the world. A camera that is unplugged is opened again; one that cannot be opened at all ends the run.
+    let stands_for_the_world = |process| {
+        let world = config.graph.processes.iter().find(|member| member.process == ProcessId::Simulator);
+        world.map(|world| Member { process, ..world.clone() })
+    };
+    let player = stands_for_the_world(ProcessId::Player);
+    let camera = stands_for_the_world(ProcessId::Camera).filter(|_| matches!(input, Input::Camera(_)));
+    let members = config.graph.digesting().chain(player).chain(camera);
+    let mut commands: Vec<_> = members.map(|member| command(run, folder, &member)).collect::<std::io::Result<_>>()?;
     for command in commands.iter_mut().filter(|command| command.process == ProcessId::Player) {
         command.arguments.extend(["--rate".to_owned(), rate_hz.to_string()]);
         if let Input::Files(paths, _) = input {
@@ -167,7 +169,8 @@ fn digest(
     commands: Vec<ChildCommand>,
     signals: SignalWatch,
 ) -> Result<Digested, Box<dyn Error>> {
-    let services = Services::create(run)?;
+    run.name_supervisor(std::process::id())?;
+    let services = Services::hold(run)?;
     let mut ports = IpcPorts::open(run, ProcessId::Supervisor, 0, &config.vehicle.rig, |ports| {
         ports.reads::<StereoFrames>();
         ports.reads::<DepthFrames>();
@@ -176,7 +179,7 @@ fn digest(
         ports.reads::<Keyframes>();
         ports.reads::<HealthReports>();
     })?;
-    let mut supervision = Supervision::start(commands, signals)?;
+    let mut supervision = Supervision::start(commands, signals, &[]);
     let mut gathered = Gathered::new(input);
     let (mut progress, mut is_interrupted) = (Instant::now(), false);
     let (products, view) = loop {
@@ -188,14 +191,21 @@ fn digest(
                 break (complete, view);
             }
         }
-        match supervision.attend(&services, ATTENTION) {
-            // There may be something to tell already.
-            Happening::Signal(_) if gathered.figures.disparity_images > 0 && !is_interrupted => is_interrupted = true,
-            Happening::Signal(_) => return Err("interrupted".into()),
-            Happening::RunEnded(process, how) => return Err(format!("{process} {how}").into()),
-            Happening::Died(process, how) => eprintln!("sparrowhawk: {process} {how}: restarting it"),
-            Happening::GivenUp(process, how) => eprintln!("sparrowhawk: {process} {how}: going on without it"),
-            Happening::Nothing => {}
+        for happening in supervision.attend(&services, ATTENTION) {
+            match happening {
+                // There may be something to tell already.
+                Happening::Signal(_) if gathered.figures.disparity_images > 0 && !is_interrupted => {
+                    is_interrupted = true
+                }
+                Happening::Signal(_) => return Err("interrupted".into()),
+                Happening::RunEnded(process, how) => return Err(format!("{process} {how}").into()),
+                Happening::Died(process, how, _) => eprintln!("sparrowhawk: {process} {how}: restarting it"),
+                Happening::GaveUp(ProcessId::Recorder, how) => {
+                    eprintln!("sparrowhawk: recorder {how}: going on without")
+                }
+                Happening::GaveUp(process, how) => return Err(format!("{process} {how}: given up").into()),
+                Happening::Started(..) | Happening::Ended(..) => {}
+            }
         }
         if gathered.take(&mut ports) {
             progress = Instant::now();
@@ -204,14 +214,13 @@ fn digest(
             supervision.heard(health.header());
             gathered.hear(health.header())?;
         }
-        supervision.kill_silent();
         if progress.elapsed() > PATIENCE + gathered.longest_gap {
             let waiting: Vec<String> = supervision.status().iter().filter_map(crate::display::complaint).collect();
             let why = waiting.join("; ");
             return Err(format!("the graph made nothing of the frames for {} s: {why}", PATIENCE.as_secs()).into());
         }
     };
-    let pids = supervision.stop().iter().map(|child| (child.process.name().to_owned(), child.pid)).collect();
+    let pids = supervision.stop(&services).iter().map(|child| (child.process.name().to_owned(), child.pid)).collect();
     Ok(Digested { products, view, figures: gathered.into_figures(), pids })
 }
 

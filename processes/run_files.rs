@@ -9,6 +9,8 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 /// The configuration's snapshot.
 pub(crate) const CONFIG: &str = "config.ron";
+/// What happened, as JSON lines.
+pub(crate) const EVENTS: &str = "events.jsonl";
 /// The MCAP log.
 pub(crate) const LOG: &str = "log.mcap";
 /// The summary.
@@ -74,6 +76,11 @@ impl RunFiles {
         let path = folder.join(CONFIG);
         fs::write(&path, config.snapshot()).map_err(at(&path))?;
         Ok(Self { folder, summary_copy: summary_copy.map(Path::to_owned) })
+    }
+
+    /// The folder of a run that was taken over.
+    pub(crate) fn reopen(folder: &Path, summary_copy: Option<&Path>) -> Self {
+        Self { folder: folder.to_owned(), summary_copy: summary_copy.map(Path::to_owned) }
     }
 
     pub(crate) fn folder(&self) -> &Path {

@@ -86,7 +86,8 @@ macro_rules! for_each_topic {
             Goals,
             Plan,
             Setpoints,
-            HealthReports
+            HealthReports,
+            Rungs
         );
     };
 }
@@ -168,6 +169,9 @@ topics! {
     HealthReports: "health", Health, [u8; NONE], 10.0 Hz, history 1, depth 32, image false,
         from [Simulator, Player, Camera, StereoIngest, Expansion, Memory, Planner, Controller, Recorder],
         to [reads(Player), reads(Recorder), reads(Supervisor)];
+    /// Rungs of the degradation ladder.
+    Rungs: "degradation", Degradation, [u8; NONE], 2.0 Hz, history 1, depth 4, image false,
+        from [Supervisor], to [reads(Recorder)];
 }
 
 #[cfg(test)]

@@ -3,6 +3,7 @@
 //! A message is a fixed-size header and a slice of elements, both plain old data. A header-only message has an
 //! empty slice. Lengths are metres, times nanoseconds of flight time, quaternions `[w, x, y, z]`.
 
+mod degradation;
 mod depth_frame;
 mod disparity_image;
 mod expanded_image;
@@ -17,6 +18,7 @@ mod trajectory;
 mod vehicle_state;
 mod world_truth;
 
+pub use degradation::{Degradation, Rung};
 pub use depth_frame::DepthFrame;
 pub use disparity_image::DisparityImage;
 pub use expanded_image::{ExpandedCells, ExpandedImage, ExpandedLayout, Layers, NEVER_OCCUPIED, Seen, UNKNOWN_FRONT};

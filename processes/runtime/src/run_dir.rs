@@ -4,12 +4,15 @@
 //! /dev/shm/sparrowhawk-<uid>/<run>/lock     held by the supervisor for as long as it lives
 //!                                 /alive    held, shared, by every process of the run
 //!                                 /iox/     iceoryx2's root: node and service files, event sockets
-//!                                 /images/  keyframes
+//!                                 /images/  keyframes, and what processes leave to their successors
+//!                                 /boxes/   what every process received last
+//!                                 /supervisor, /record   who supervises, and what its successor must know
 //! /dev/shm/<prefix>…                        iceoryx2's shared-memory segments of this run
 //! ```
 //!
 //! The folder and the segments lie on the same tmpfs, so that they vanish together.
 
+use ipc_types::ProcessId;
 use rustix::fs::{FlockOperation, flock};
 use std::fs::{self, File, OpenOptions};
 use std::io;
@@ -41,6 +44,14 @@ pub enum RunError {
         name: String,
         /// The lock file.
         lock: String,
+    },
+    /// The supervisor has died, and its children live.
+    #[error(
+        "run \"{name}\" has lost its supervisor, and its processes still run; take it over with --adopt, or wait until they have ended (lease_s)"
+    )]
+    Orphaned {
+        /// As given.
+        name: String,
     },
     /// The folder cannot be used.
     #[error("cannot use {path}: {source}; shared memory must be writable by this user")]
@@ -115,16 +126,86 @@ impl RunDir {
         format!("s{:08x}_", xxh3_64(self.path.as_os_str().as_encoded_bytes()) as u32)
     }
 
+    /// Where a process notes what it received.
+    pub(crate) fn black_box(&self, process: ProcessId) -> PathBuf {
+        self.path.join("boxes").join(process.name())
+    }
+
+    /// Says who supervises the run, for its processes.
+    ///
+    /// # Errors
+    /// The run's folder cannot be written.
+    pub fn name_supervisor(&self, number: u32) -> io::Result<()> {
+        self.replace("supervisor", number.to_string().as_bytes())
+    }
+
+    /// Process number of the supervisor that was named last.
+    pub(crate) fn supervisor(&self) -> Option<u32> {
+        fs::read_to_string(self.path.join("supervisor")).ok()?.parse().ok()
+    }
+
+    /// Writes what a supervisor's successor, and whoever watches, must know.
+    ///
+    /// # Errors
+    /// The run's folder cannot be written.
+    pub fn write_record(&self, record: &[u8]) -> io::Result<()> {
+        self.replace("record", record)
+    }
+
+    /// What [`write_record`](Self::write_record) wrote last.
+    ///
+    /// # Errors
+    /// There is none.
+    pub fn read_record(&self) -> io::Result<Vec<u8>> {
+        fs::read(self.path.join("record"))
+    }
+
+    /// Whole or not at all.
+    fn replace(&self, name: &str, bytes: &[u8]) -> io::Result<()> {
+        let temporary = self.path.join(format!("{name}.tmp"));
+        fs::write(&temporary, bytes)?;
+        fs::rename(temporary, self.path.join(name))
+    }
+
+    /// Names of this user's runs, dead or alive.
+    pub fn all() -> Vec<Self> {
+        let Ok(any) = Self::named("any") else { return Vec::new() };
+        let siblings = any.path.parent().map(fs::read_dir).and_then(Result::ok);
+        let names = siblings.into_iter().flatten().flatten().map(|entry| entry.file_name());
+        let mut runs: Vec<_> = names.filter_map(|name| Self::named(&name.to_string_lossy()).ok()).collect();
+        runs.sort_by(|a, b| a.name.cmp(&b.name));
+        runs
+    }
+
+    /// Takes over a run whose supervisor has died and whose processes live; `None` if there is nothing to take over.
+    ///
+    /// # Errors
+    /// The run has a supervisor, or shared memory is not accessible.
+    pub fn take_over(&self) -> Result<Option<RunLock>, RunError> {
+        if !self.path.join("record").exists() {
+            return Ok(None);
+        }
+        let (lock, alive) = self.locks()?;
+        if !is_free(&lock) {
+            return Err(self.already_running());
+        }
+        Ok((!is_free(&alive)).then(|| RunLock { run: self.clone(), _lock: lock }))
+    }
+
     /// Takes the run: locks it, clears what a dead predecessor left, here and in other dead runs, and makes its folders.
     ///
     /// # Errors
-    /// The run is in use, shared memory is not writable, or too little of it is free.
+    /// The run is in use, or its processes are; shared memory is not writable, or too little of it is free.
     pub fn take(&self) -> Result<RunLock, RunError> {
         fs::create_dir_all(&self.path).map_err(inaccessible(&self.path))?;
-        let lock = self.lock_dead()?.ok_or_else(|| RunError::AlreadyRunning {
-            name: self.name.clone(),
-            lock: self.path.join("lock").display().to_string(),
-        })?;
+        let (lock, alive) = self.locks()?;
+        if !is_free(&lock) {
+            return Err(self.already_running());
+        }
+        if !is_free(&alive) {
+            return Err(RunError::Orphaned { name: self.name.clone() });
+        }
+        drop(alive); // It only told whether anyone lives.
         // From here on, whatever fails leaves nothing behind.
         let lock = RunLock { run: self.clone(), _lock: lock };
         self.sweep();
@@ -152,17 +233,18 @@ impl RunDir {
         Ok(RunMember { _alive: alive })
     }
 
-    /// The lock of a run that no supervisor and no other process holds, else `None`.
-    fn lock_dead(&self) -> Result<Option<File>, RunError> {
+    fn already_running(&self) -> RunError {
+        RunError::AlreadyRunning { name: self.name.clone(), lock: self.path.join("lock").display().to_string() }
+    }
+
+    /// The supervisor's lock, and that which every process shares.
+    fn locks(&self) -> Result<(File, File), RunError> {
         let open = |name: &str| {
             let path = self.path.join(name);
             let file = OpenOptions::new().create(true).truncate(false).write(true).open(&path);
             file.map_err(inaccessible(&path))
         };
-        let (lock, alive) = (open("lock")?, open("alive")?);
-        let is_free = |file: &File| flock(file, FlockOperation::NonBlockingLockExclusive).is_ok();
-        // The second lock is let go at once: it only tells whether anyone lives.
-        Ok((is_free(&lock) && is_free(&alive)).then_some(lock))
+        Ok((open("lock")?, open("alive")?))
     }
 
     /// Clears runs of this user whose supervisors were killed and whose processes have ended since.
@@ -172,7 +254,9 @@ impl RunDir {
             let name = entry.file_name().to_string_lossy().into_owned();
             let sibling = Self::named(&name).ok().filter(|sibling| sibling.path != self.path);
             if let Some(sibling) = sibling
-                && let Ok(Some(lock)) = sibling.lock_dead()
+                && let Ok((lock, alive)) = sibling.locks()
+                && is_free(&lock)
+                && is_free(&alive)
             {
                 drop(RunLock { run: sibling, _lock: lock });
             }
@@ -184,6 +268,8 @@ impl RunDir {
         // Absent is as good as removed.
         let _ = fs::remove_dir_all(self.iceoryx_root());
         let _ = fs::remove_dir_all(self.images());
+        let _ = fs::remove_dir_all(self.path.join("boxes"));
+        ["supervisor", "record"].iter().for_each(|name| drop(fs::remove_file(self.path.join(name))));
         let prefix = self.prefix();
         for entry in fs::read_dir(SHARED_MEMORY).into_iter().flatten().flatten() {
             if entry.file_name().as_encoded_bytes().starts_with(prefix.as_bytes()) {
@@ -191,6 +277,11 @@ impl RunDir {
             }
         }
     }
+}
+
+/// Whether nobody holds a lock; it is taken then.
+fn is_free(file: &File) -> bool {
+    flock(file, FlockOperation::NonBlockingLockExclusive).is_ok()
 }
 
 fn inaccessible(path: &Path) -> impl FnOnce(io::Error) -> RunError {
@@ -228,5 +319,26 @@ mod tests {
         assert!(!run.path.exists() && !leftover.exists());
         drop(member);
         drop(run.take().expect("free again"));
+    }
+
+    #[test]
+    fn a_run_whose_supervisor_died_is_taken_over_while_its_processes_live_and_not_taken_anew() {
+        let run = RunDir::named(&format!("orphan-{}", std::process::id())).expect("a good name");
+        assert!(run.take_over().expect("accessible").is_none(), "there is none");
+        let lock = run.take().expect("free");
+        run.write_record(b"as it was").expect("writable");
+        let member = run.join().expect("alive");
+        assert!(matches!(run.take_over(), Err(RunError::AlreadyRunning { .. })));
+        // A killed supervisor sweeps nothing.
+        let RunLock { _lock: file, .. } = &lock;
+        flock(file, FlockOperation::Unlock).expect("unlocked");
+        assert!(matches!(run.take(), Err(RunError::Orphaned { .. })));
+        let taken = run.take_over().expect("accessible").expect("orphaned");
+        assert_eq!(run.read_record().expect("kept"), b"as it was");
+        flock(&taken._lock, FlockOperation::Unlock).expect("unlocked");
+        drop(member);
+        assert!(run.take_over().expect("accessible").is_none(), "nobody lives");
+        std::mem::forget(lock);
+        drop(taken);
     }
 }

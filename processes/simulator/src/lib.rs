@@ -23,6 +23,7 @@ mod pilot;
 mod process;
 mod raster;
 mod render;
+mod sensor_faults;
 mod trouble;
 mod vehicle;
 mod world;

@@ -5,6 +5,7 @@ use crate::collider::{Clearance, Collider};
 use crate::estimator::{Estimator, EstimatorConfig};
 use crate::noise_camera::{NoiseCamera, NoiseCameraConfig};
 use crate::pilot::{Piloted, sticks};
+use crate::sensor_faults::{BadSight, SensorFaults};
 use crate::trouble::{Trouble, Troubles};
 use crate::vehicle::{Vehicle, VehicleConfig};
 use crate::world::World;
@@ -13,6 +14,7 @@ use ipc_types::messages::SetpointMode;
 use ipc_types::rig::CameraMount;
 use ipc_types::topics::{Clock, DepthFrames, Setpoints, State, StereoFrames, Truth};
 use ipc_types::{Body, Camera, FlightTime, HostTime, Point, Pose, ProcessId, StereoRig, Vector, World as WorldFrame};
+use runtime::faults::Fault;
 use runtime::{Connect, Message, Ports, Process, Report};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -75,6 +77,8 @@ pub struct SimulatorSetup {
     pub trouble: Trouble,
     /// When a pilot flies.
     pub pilot: Vec<Piloted>,
+    /// What is injected; those that concern sensors and clock.
+    pub faults: Vec<Fault>,
 }
 
 /// Who renders: this thread, so that everything repeats, or another, so that the dynamics never wait.
@@ -139,6 +143,8 @@ pub struct SimulatorProcess {
     estimator: Estimator,
     collider: Collider,
     troubles: Troubles,
+    faults: SensorFaults,
+    bad_sight: BadSight,
     eyes: Eyes,
     /// Frames rendered and not yet due, oldest first.
     ready: Vec<Frame>,
@@ -222,6 +228,8 @@ impl SimulatorProcess {
                 setup.seed,
             ),
             troubles: Troubles::new(setup.trouble, setup.seed),
+            faults: SensorFaults::new(&setup.faults),
+            bad_sight: BadSight::new(setup.seed),
             collider: Collider::new(&setup.world, vehicle.hull_radius_m, vehicle.hull_height_m),
             eyes,
             ready: Vec::new(),
@@ -275,14 +283,16 @@ impl SimulatorProcess {
 
     fn publish_state(&mut self, ports: &mut impl Ports) {
         let (now, pose) = (self.stepped, self.vehicle.world_from_body());
-        let believed = Pose { translation: pose.translation + self.setup.trouble.jump(now), ..pose };
+        let believed =
+            Pose { translation: pose.translation + self.setup.trouble.jump(now) + self.faults.jump(now), ..pose };
         self.estimator.measure(now, believed, self.vehicle.velocity());
         let ratio = self.clock.ratio(now);
         let host_ns = self.host.as_nanos();
         let piloted = sticks(&self.setup.pilot, now).is_some();
         let landed = u32::from(!self.vehicle.airborne());
+        let reading_ns = now.as_nanos() + self.faults.clock_step_ns(now);
         ports.publish::<Clock>(now, 0, |clock, _| {
-            (clock.flight_ns, clock.host_ns, clock.rate) = (now.as_nanos(), host_ns, 1.0);
+            (clock.flight_ns, clock.host_ns, clock.rate) = (reading_ns, host_ns, 1.0);
         });
         while let Some(estimate) = self.estimator.deliver(now) {
             ports.publish::<State>(estimate.valid, 0, |state, _| {
@@ -337,16 +347,18 @@ impl SimulatorProcess {
                 self.spare.push(frame.image);
                 continue;
             }
-            let rig = self.setup.rig;
+            let (rig, sight, bad_sight) = (self.setup.rig, self.faults.sight(frame.exposure), &mut self.bad_sight);
             match &frame.image {
                 Image::Pair(pair) => ports.publish::<StereoFrames>(frame.exposure, pair.len(), |header, pixels| {
                     (header.width_px, header.height_px) = (rig.width_px, rig.height_px);
                     pixels.copy_from_slice(pair);
+                    bad_sight.pair(sight, pixels);
                 }),
                 Image::Disparity(disparity) => {
                     ports.publish::<DepthFrames>(frame.exposure, disparity.len(), |header, pixels| {
                         (header.width_px, header.height_px) = (rig.width_px, rig.height_px);
                         pixels.copy_from_slice(disparity);
+                        bad_sight.disparity(sight, pixels);
                     });
                 }
             }

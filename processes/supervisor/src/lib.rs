@@ -1,18 +1,27 @@
-//! Starts the process graph, watches it, and restarts what dies.
+//! Starts the process graph, watches it, restarts what dies, and says what may still be flown.
 //!
-//! * [`Policy`] decides when to restart, as a pure function of what happened and when.
-//! * [`Supervision`] carries it out: spawns, reaps promptly (a thread waits on each child, nobody polls), cleans dead
-//!   iceoryx2 nodes between reaping and restarting, kills what has stopped beating, and stops everything in order.
-//! * [`Mission`] publishes the goal and watches how the flight goes; [`Summary`] is its account.
+//! * [`Policy`] decides what to do about what happens to processes, as a pure function of (state, event, now).
+//! * [`Supervision`] carries it out: starts, reaps promptly (by pidfd, nobody polls numbers), cleans dead iceoryx2 nodes
+//!   between reaping and restarting, looks at what does not beat, and ends everything in order. It adopts what a dead
+//!   supervisor has left.
+//! * [`Ladder`] decides how far the flight is to be scaled down for what does not work: also a pure function.
+//! * [`Mission`] publishes goal and rung and watches how the flight goes; [`Summary`] is its account.
 //!
 //! The supervisor never blocks on a child: every wait has a deadline, and a child that ignores SIGTERM is killed.
 
+mod child;
+mod ladder;
 mod mission;
+mod observation;
 mod policy;
+mod rule;
 mod summary;
 mod supervision;
 
+pub use child::Usage;
+pub use ladder::{Ladder, LadderConfig, Observed, Step};
 pub use mission::{ATTENTION, AtGoal, HomeConfig, Mission, MissionConfig, Outcome};
-pub use policy::{Decision, Policy, RestartRule};
-pub use summary::{LatencySummary, Losses, ProcessSummary, Summary};
-pub use supervision::{ChildCommand, ChildState, ChildStatus, Happening, SignalWatch, Supervision, SupervisionError};
+pub use policy::{Action, Event, Phase, Policy};
+pub use rule::{Criticality, Rule, Strategy};
+pub use summary::{FaultSummary, LatencySummary, Losses, ProcessSummary, RungSummary, Summary};
+pub use supervision::{ChildCommand, ChildStatus, Happening, Orphan, SignalWatch, Supervision, SupervisionError};

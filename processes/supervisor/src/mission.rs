@@ -1,13 +1,17 @@
 //! The mission: publishes the goal, watches how the flight goes.
 
+use crate::ladder::{Ladder, LadderConfig};
+use crate::observation::Observation;
 use crate::summary::{Recorder, Summary};
+use crate::supervision::ChildStatus;
 use ipc_types::bounds::Bounds;
 use ipc_types::limits::Fence;
-use ipc_types::messages::{Health, PlanMode, Task, Trajectory, VehicleState, WorldTruth};
+use ipc_types::messages::{Health, PlanMode, Rung, Task, Trajectory, VehicleState, WorldTruth};
 use ipc_types::topics::{
-    DepthFrames, Disparity, Expanded, Goals, HealthReports, Keyframes, Plan, Setpoints, State, StereoFrames, Truth,
+    DepthFrames, Disparity, Expanded, Goals, HealthReports, Keyframes, Plan, Rungs, Setpoints, State, StereoFrames,
+    Truth,
 };
-use ipc_types::wire::Header;
+use ipc_types::wire::{Header, Stamp, Text};
 use ipc_types::{FlightTime, Point, ProcessId, Vector, World};
 use runtime::{Connect, Message, Ports, Process, Report};
 use serde::{Deserialize, Serialize};
@@ -152,7 +156,9 @@ pub enum Outcome {
     TimedOut,
     /// A signal ended it.
     Interrupted,
-    /// A process that cannot be spared died.
+    /// A process that cannot be spared was given up: the vehicle hovered, and was left to the flight control unit.
+    HandedBack,
+    /// The world died.
     ProcessLost,
 }
 
@@ -184,14 +190,22 @@ pub struct Mission {
     state: Option<VehicleState>,
     plan: Option<Trajectory>,
     heartbeats: Vec<Health>,
+    outputs: Vec<Stamp>,
+    ladder: Ladder,
+    observation: Observation,
+    next_rung: FlightTime,
     recorder: Recorder,
     report: Report,
 }
 
 impl Mission {
     /// A mission that has not begun.
-    pub fn new(config: MissionConfig) -> Self {
+    pub fn new(config: MissionConfig, ladder: LadderConfig) -> Self {
         Self {
+            outputs: Vec::new(),
+            ladder: Ladder::new(ladder),
+            observation: Observation::default(),
+            next_rung: FlightTime::ZERO,
             recorder: Recorder::new(),
             config,
             next_goal: FlightTime::ZERO,
@@ -241,6 +255,31 @@ impl Mission {
     /// Heartbeats that arrived since the last call.
     pub fn take_heartbeats(&mut self) -> Vec<Health> {
         std::mem::take(&mut self.heartbeats)
+    }
+
+    /// Stamps of what the processes published since the last call: the outputs that others wait for.
+    pub fn take_outputs(&mut self) -> Vec<Stamp> {
+        std::mem::take(&mut self.outputs)
+    }
+
+    /// Looks at the processes: which are away.
+    pub fn see_processes(&mut self, children: &[ChildStatus]) {
+        self.observation.processes(self.now, children);
+    }
+
+    /// Where the flight stands on the degradation ladder.
+    pub fn rung(&self) -> &crate::ladder::Step {
+        self.ladder.present()
+    }
+
+    /// Waypoints passed.
+    pub fn passed(&self) -> usize {
+        self.passed
+    }
+
+    /// Goes on after so many waypoints: of a flight that was taken over.
+    pub fn resume(&mut self, passed: usize) {
+        self.passed = passed.min(self.config.waypoints_m.len());
     }
 
     /// The account so far.
@@ -298,32 +337,68 @@ impl Mission {
         }
         self.next_goal = self.now + GOAL_INTERVAL;
         let (waypoint, config) = (waypoints.get(self.passed), &self.config);
+        let step = self.ladder.present();
         let task = match config.at_goal {
+            _ if step.rung >= Rung::Hover => Task::Stay,
             AtGoal::Land if waypoint.is_none() => Task::Land,
             _ => Task::Hover,
         };
+        // To stay is a task of its own; the speed only has to be one.
+        let share = if step.speed_share > 0.0 { step.speed_share } else { 1.0 };
         ports.publish::<Goals>(self.now, 0, |goal, _| {
             goal.position_m = *waypoint.unwrap_or(&config.goal_m);
-            (goal.cruise_speed_mps, goal.task) = (config.cruise_speed_mps, task as u32);
+            (goal.cruise_speed_mps, goal.task) = (config.cruise_speed_mps * share, task as u32);
         });
+    }
+
+    /// Where the flight stands on the ladder: published, and acted on by the goal.
+    fn say_how_far(&mut self, ports: &mut impl Ports) {
+        let seen = self.observation.observed(self.now, self.state.as_ref());
+        let before = self.ladder.present().clone();
+        let step = self.ladder.look(self.now, &seen).clone();
+        let changed = (before.rung, before.speed_share) != (step.rung, step.speed_share);
+        if before.rung != step.rung {
+            self.recorder.rung(self.now, &step);
+        }
+        if changed {
+            (self.next_goal, self.next_rung) = (self.now, self.now);
+        }
+        if self.now >= self.next_rung {
+            self.next_rung = self.now + GOAL_INTERVAL;
+            ports.publish::<Rungs>(self.now, 0, |message, _| {
+                (message.rung, message.speed_share) = (step.rung as u32, step.speed_share);
+                message.reason = Text::from(step.reason.as_str());
+            });
+        }
+        if step.rung == Rung::HandBack {
+            self.end(Outcome::HandedBack);
+        }
+    }
+
+    fn published(&mut self, stage: &'static str, stamp: &Stamp) {
+        self.recorder.published(stage, stamp);
+        self.outputs.push(*stamp);
     }
 
     /// Follows an image through the stages by its exposure.
     fn time_stages(&mut self, ports: &mut impl Ports) {
         while let Some(message) = ports.receive::<StereoFrames>() {
-            self.recorder.published("camera", message.header().stamp());
+            self.observation.frame(message.header().stamp());
+            self.published("camera", message.header().stamp());
         }
         while let Some(message) = ports.receive::<DepthFrames>() {
-            self.recorder.published("camera", message.header().stamp());
+            self.observation.frame(message.header().stamp());
+            self.published("camera", message.header().stamp());
         }
         while let Some(message) = ports.receive::<Disparity>() {
-            self.recorder.published("stereo-ingest", message.header().stamp());
+            self.published("stereo-ingest", message.header().stamp());
         }
         while let Some(message) = ports.receive::<Expanded>() {
-            self.recorder.published("expansion", message.header().stamp());
+            self.published("expansion", message.header().stamp());
         }
         while let Some(message) = ports.receive::<Keyframes>() {
-            self.recorder.published("memory", message.header().stamp());
+            self.observation.map(self.now, message.header(), message.elements().len());
+            self.published("memory", message.header().stamp());
         }
     }
 }
@@ -333,6 +408,7 @@ impl Process for Mission {
 
     fn connect(&self, connect: &mut impl Connect) {
         connect.writes::<Goals>();
+        connect.writes::<Rungs>();
         connect.reads::<Truth>();
         connect.reads::<State>();
         connect.reads::<StereoFrames>();
@@ -347,14 +423,17 @@ impl Process for Mission {
 
     fn step<P: Ports>(&mut self, ports: &mut P) -> Report {
         self.now = ports.now();
-        self.say_where_to(ports);
         self.time_stages(ports);
+        self.say_how_far(ports);
+        self.say_where_to(ports);
         while let Some(plan) = ports.receive::<Plan>() {
             self.recorder.plan(plan.header());
+            self.outputs.push(*plan.header().stamp());
             self.plan = Some(*plan.header());
         }
         while let Some(setpoint) = ports.receive::<Setpoints>() {
             self.recorder.setpoint(setpoint.header());
+            self.outputs.push(*setpoint.header().stamp());
         }
         while let Some(state) = ports.receive::<State>() {
             self.state = Some(*state.header());

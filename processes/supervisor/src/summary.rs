@@ -1,12 +1,14 @@
 //! The account of a flight: what the report prints and the JSON summary carries.
 
+use crate::ladder::Step;
 use crate::mission::{MissionConfig, Outcome};
+use crate::policy::Phase;
 use crate::supervision::ChildStatus;
 use hdrhistogram::Histogram;
 use ipc_types::messages::{Health, Setpoint, SetpointMode, Trajectory, WorldTruth};
 use ipc_types::wire::Stamp;
 use ipc_types::{FlightTime, Point, ProcessId, Vector, World};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
 /// Everything worth knowing about a flight, units in the names.
@@ -52,13 +54,45 @@ pub struct Summary {
     pub losses: BTreeMap<String, Losses>,
     /// Restarts of all processes.
     pub restarts: u32,
+    /// How often another supervisor has taken the run over; figures are of the time since the last takeover.
+    pub takeovers: u32,
+    /// Where the flight stood on the degradation ladder, from when on, and why.
+    pub degradation: Vec<RungSummary>,
+    /// Faults that were injected.
+    pub faults: Vec<FaultSummary>,
     /// Hash of every message, in lockstep.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub log_hash: Option<String>,
 }
 
+/// A step on the degradation ladder.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct RungSummary {
+    /// Flight time, s.
+    pub at_s: f64,
+    /// Name of the rung.
+    pub rung: String,
+    /// Share of the cruise speed that it allows.
+    pub speed_share: f64,
+    /// Why.
+    pub reason: String,
+}
+
+/// An injected fault.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct FaultSummary {
+    /// Flight time at which it came, s.
+    pub at_s: f64,
+    /// Its name.
+    pub fault: String,
+    /// What it befell.
+    pub victim: String,
+    /// Flight time per host time within the second after it; absent when the run ended before.
+    pub clock_ratio: Option<f64>,
+}
+
 /// Percentiles of a latency.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct LatencySummary {
     /// How many were measured.
     pub count: u64,
@@ -101,20 +135,42 @@ pub struct ProcessSummary {
     pub pid: Option<u32>,
     /// Restarts.
     pub restarts: u32,
-    /// Longest time from a death to the successor's first heartbeat, ms.
+    /// Times from a death to the successor's first output (the recorder's first heartbeat), ms.
+    pub recoveries_ms: Vec<f64>,
+    /// The longest of them, ms.
     pub longest_recovery_ms: Option<f64>,
+    /// Why it was given up, if it was.
+    pub given_up: Option<String>,
     /// Longest step that published, ms.
     pub longest_step_ms: f64,
 }
 
 impl ProcessSummary {
+    /// The supervisor itself.
+    pub fn supervisor() -> Self {
+        Self {
+            name: ProcessId::Supervisor.name().to_owned(),
+            pid: Some(std::process::id()),
+            restarts: 0,
+            recoveries_ms: Vec::new(),
+            longest_recovery_ms: None,
+            given_up: None,
+            longest_step_ms: 0.0,
+        }
+    }
+
     /// From the supervisor's last view of a child.
     pub fn of(status: &ChildStatus) -> Self {
         Self {
             name: status.process.name().to_owned(),
             pid: status.pid,
             restarts: status.restarts,
-            longest_recovery_ms: status.longest_recovery_s.map(|seconds| seconds * 1e3),
+            recoveries_ms: status.recoveries_s.iter().map(|seconds| seconds * 1e3).collect(),
+            longest_recovery_ms: status.recoveries_s.iter().copied().reduce(f64::max).map(|seconds| seconds * 1e3),
+            given_up: match &status.phase {
+                Phase::GivenUp(why) => Some(why.clone()),
+                _ => None,
+            },
             longest_step_ms: status.health.map_or(0.0, |health| health.longest_step_ns as f64 * 1e-6),
         }
     }
@@ -124,6 +180,8 @@ impl ProcessSummary {
 const LONGEST_US: u64 = 60_000_000;
 /// Window of the cruise speed, s.
 const CRUISE_WINDOW_S: f64 = 3.0;
+/// Steps on the ladder that are remembered.
+const MOST_STEPS: usize = 1000;
 /// The stages an image passes, in order.
 const STAGES: [&str; 5] = ["camera", "stereo-ingest", "expansion", "memory", "planner"];
 
@@ -147,6 +205,7 @@ pub struct Recorder {
     min_clearance_m: f64,
     max_speed_mps: f64,
     cruise_speed_mps: f64,
+    degradation: Vec<RungSummary>,
     /// By process and incarnation, whose counts begin at zero.
     losses: BTreeMap<(u32, u32), Losses>,
 }
@@ -169,7 +228,21 @@ impl Recorder {
             min_clearance_m: f64::INFINITY,
             max_speed_mps: 0.0,
             cruise_speed_mps: 0.0,
+            degradation: Vec::new(),
             losses: BTreeMap::new(),
+        }
+    }
+
+    /// Where the flight stands from now on.
+    pub(crate) fn rung(&mut self, now: FlightTime, step: &Step) {
+        let summary = RungSummary {
+            at_s: now.as_secs_f64(),
+            rung: step.rung.name().to_owned(),
+            speed_share: step.speed_share,
+            reason: step.reason.clone(),
+        };
+        if self.degradation.len() < MOST_STEPS {
+            self.degradation.push(summary);
         }
     }
 
@@ -252,6 +325,11 @@ impl Recorder {
         LatencySummary::of_us(&self.exposure_to_command)
     }
 
+    /// Time from input to output of a stage so far; nothing for what is none.
+    pub fn stage(&self, name: &str) -> LatencySummary {
+        self.stages.get(name).map(LatencySummary::of_us).unwrap_or_default()
+    }
+
     /// Least clearance so far, m.
     pub fn min_clearance_m(&self) -> Option<f64> {
         self.min_clearance_m.is_finite().then_some(self.min_clearance_m)
@@ -291,6 +369,9 @@ impl Recorder {
             processes: Vec::new(),
             losses: self.losses(),
             restarts: 0,
+            takeovers: 0,
+            degradation: self.degradation.clone(),
+            faults: Vec::new(),
             log_hash: None,
         }
     }

@@ -1,24 +1,26 @@
-//! Spawning, reaping, restarting and stopping children.
+//! The graph's processes: carries out what the [`Policy`] asks for, and tells it what has happened.
 
-use crate::policy::{Decision, Policy, RestartRule};
+use crate::child::{Look, Running, Usage, reap_group, wait_any};
+use crate::policy::{Action, Event, Phase, Policy};
+use crate::rule::{Criticality, Rule};
 use ipc_types::messages::Health;
+use ipc_types::wire::Stamp;
 use ipc_types::{HostTime, ProcessId};
 use runtime::host_now;
 use runtime::ipc::Services;
-use rustix::process::{Pid, Signal, kill_process};
-use std::os::unix::process::{CommandExt, ExitStatusExt};
-use std::process::{Child, Command, ExitStatus, Stdio};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use rustix::process::Signal;
+use serde::{Deserialize, Serialize};
+use std::collections::VecDeque;
 use std::time::Duration;
 
-/// Time between SIGTERM and SIGKILL.
-const GRACE: Duration = Duration::from_secs(3);
-/// The supervisor judges no silence that it may itself have slept through.
-const LONGEST_ABSENCE: Duration = Duration::from_millis(500);
-/// Silence after which the world counts as dead, s.
-const WORLD_DEADLINE_S: f64 = 5.0;
-/// Grace before a first heartbeat is missed: starting up takes longer than beating.
-const START_UP: Duration = Duration::from_secs(10);
+/// A process that has been silent for so long is looked at.
+const LOOK_AFTER: Duration = Duration::from_millis(120);
+/// Between two looks.
+const LOOK_EVERY: Duration = Duration::from_millis(50);
+/// Between two samples of what a process uses.
+const SAMPLE_EVERY: Duration = Duration::from_secs(1);
+/// Recoveries that are remembered of a process.
+const RECOVERIES: usize = 10_000;
 
 /// What to run for a process.
 #[derive(Clone, Debug)]
@@ -27,10 +29,8 @@ pub struct ChildCommand {
     pub process: ProcessId,
     /// Program and arguments; `--incarnation N` is appended.
     pub arguments: Vec<String>,
-    /// How to restart it; `None` when its death ends the run.
-    pub restart: Option<RestartRule>,
-    /// Whether the run ends when it is given up. A flight goes on without its recorder.
-    pub is_essential: bool,
+    /// What it is worth, and how it is brought back.
+    pub rule: Rule,
 }
 
 /// The signals that end a run, watched from before anything was made that would have to be cleaned up.
@@ -51,88 +51,89 @@ impl SignalWatch {
 /// Why the graph could not be started.
 #[derive(Debug, thiserror::Error)]
 pub enum SupervisionError {
-    /// A process could not be spawned.
-    #[error("cannot start {process}: {source}")]
-    Spawn {
-        /// Which.
-        process: ProcessId,
-        /// Why.
-        source: std::io::Error,
-    },
     /// The signals could not be watched.
     #[error("cannot watch signals: {0}")]
     Signals(std::io::Error),
 }
 
-/// State of a child.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum ChildState {
-    /// Running.
-    Running,
-    /// Dead, to be restarted.
-    BackingOff,
-    /// Dead for good.
-    GivenUp,
-    /// Ended when told to.
-    Stopped,
+/// A child that may be adopted, as its supervisor leaves it on record.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Orphan {
+    /// Which process.
+    pub process: ProcessId,
+    /// Its number; absent if it did not run.
+    pub pid: Option<u32>,
+    /// When the kernel started it, ticks since boot.
+    pub started_ticks: u64,
+    /// Which incarnation.
+    pub incarnation: u32,
+    /// Its deaths that still count, host time, ns.
+    pub deaths_ns: Vec<i64>,
 }
 
 /// A child as others may see it.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct ChildStatus {
     /// Which process.
     pub process: ProcessId,
     /// Its number, while it runs.
     pub pid: Option<u32>,
+    /// What its loss means.
+    pub criticality: Criticality,
     /// State.
-    pub state: ChildState,
-    /// How often it was restarted.
+    pub phase: Phase,
+    /// Which incarnation, from 0.
+    pub incarnation: u32,
+    /// How often it was restarted under this supervisor.
     pub restarts: u32,
-    /// Longest time from a death to the first heartbeat of the successor, s.
-    pub longest_recovery_s: Option<f64>,
+    /// Times from a death to the first output of the successor, s; to its first heartbeat for what has no output.
+    pub recoveries_s: Vec<f64>,
+    /// When its last heartbeat arrived.
+    pub beat_at: Option<HostTime>,
     /// Its last heartbeat.
     pub health: Option<Health>,
+    /// What it uses of the machine.
+    pub usage: Option<Usage>,
 }
 
 /// What the supervisor learned.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Happening {
-    /// A child died; it is being restarted or was given up.
-    Died(ProcessId, String),
-    /// A child died too often and is done without.
-    GivenUp(ProcessId, String),
-    /// A process whose death ends the run has died, or one was given up.
+    /// A child was started.
+    Started(ProcessId, u32),
+    /// A child died; it is being restarted after this wait.
+    Died(ProcessId, String, Duration),
+    /// A child does not do its work and is killed, or told to end.
+    Ended(ProcessId, String),
+    /// A child is done without, for this reason.
+    GaveUp(ProcessId, String),
+    /// The world has died.
     RunEnded(ProcessId, String),
     /// SIGINT, SIGTERM or SIGHUP.
-    Signal(i32),
-    /// Nothing, for a while.
-    Nothing,
-}
-
-enum Event {
-    Exited { process: ProcessId, incarnation: u32, at: HostTime, status: std::io::Result<ExitStatus> },
     Signal(i32),
 }
 
 struct Supervised {
     command: ChildCommand,
-    policy: Option<Policy>,
-    status: ChildStatus,
-    incarnation: u32,
-    restart_at: Option<HostTime>,
+    running: Option<Running>,
+    restarts: u32,
     died_at: Option<HostTime>,
-    last_beat: HostTime,
-    beaten: bool,
+    recoveries_s: Vec<f64>,
+    beat_at: Option<HostTime>,
+    looked: HostTime,
+    health: Option<Health>,
+    sampled: HostTime,
+    usage: Option<Usage>,
 }
 
 /// The running graph.
 pub struct Supervision {
+    policy: Policy,
     children: Vec<Supervised>,
-    sender: Sender<Event>,
-    events: Receiver<Event>,
-    stopping: bool,
-    /// When silence was last looked for.
-    attended: HostTime,
+    signals: SignalWatch,
+    /// Groups of dead children, whose children may be left.
+    groups: Vec<u32>,
+    happenings: Vec<Happening>,
 }
 
 impl std::fmt::Debug for Supervision {
@@ -142,263 +143,255 @@ impl std::fmt::Debug for Supervision {
 }
 
 impl Supervision {
-    /// Spawns the graph. The run's services must exist.
-    ///
-    /// # Errors
-    /// A process cannot be spawned; those that were are stopped again.
-    pub fn start(commands: Vec<ChildCommand>, signals: SignalWatch) -> Result<Self, SupervisionError> {
-        let (sender, events) = channel();
-        let SignalWatch(mut signals) = signals;
-        let to_supervisor = sender.clone();
-        std::thread::spawn(move || {
-            for signal in signals.forever() {
-                if to_supervisor.send(Event::Signal(signal)).is_err() {
-                    return; // The run is over.
-                }
-            }
-        });
-        let attended = host_now();
-        let mut supervision = Self { children: Vec::new(), sender, events, stopping: false, attended };
-        for command in commands {
-            supervision.children.push(Supervised::new(command));
-            let last = supervision.children.len() - 1;
-            if let Err(source) = supervision.spawn(last) {
-                let process = supervision.children[last].command.process;
-                supervision.stop();
-                return Err(SupervisionError::Spawn { process, source });
-            }
-        }
-        Ok(supervision)
+    /// Starts the graph, but for those that a former supervisor left and that still live. The run's services must exist.
+    pub fn start(commands: Vec<ChildCommand>, signals: SignalWatch, orphans: &[Orphan]) -> Self {
+        // What children fork and leave is reaped here; where that is not permitted, by whoever is.
+        let _ = rustix::process::set_child_subreaper(Some(rustix::process::getpid()));
+        let now = host_now();
+        let policy = Policy::new(commands.iter().map(|command| (command.process, command.rule)), now);
+        let children = commands.into_iter().map(Supervised::new).collect();
+        let mut supervision = Self { policy, children, signals, groups: Vec::new(), happenings: Vec::new() };
+        orphans.iter().for_each(|orphan| supervision.adopt(orphan, now));
+        let actions = supervision.policy.begin(now);
+        supervision.carry_out(actions);
+        supervision
+    }
+
+    fn adopt(&mut self, orphan: &Orphan, now: HostTime) {
+        let child = self.children.iter_mut().find(|child| child.command.process == orphan.process);
+        let Some(child) = child else { return };
+        let (incarnation, deaths) = (orphan.incarnation, orphan.deaths_ns.iter());
+        let deaths = deaths.map(|&ns| HostTime::from_nanos(ns)).collect();
+        child.running = orphan.pid.and_then(|pid| Running::adopt(pid, orphan.started_ticks));
+        let event = match child.running {
+            Some(_) => Event::Adopted { incarnation, deaths },
+            None => Event::Left { incarnation, deaths },
+        };
+        self.tell(now, orphan.process, event);
+    }
+
+    /// What a successor of this supervisor needs to adopt the children.
+    pub fn orphans(&self) -> Vec<Orphan> {
+        let orphan = |child: &Supervised| {
+            let (process, running) = (child.command.process, child.running.as_ref());
+            Some(Orphan {
+                process,
+                pid: running.map(Running::number),
+                started_ticks: running.map_or(0, Running::started_ticks),
+                incarnation: self.policy.incarnation(process)?,
+                deaths_ns: self.policy.deaths(process).iter().map(|death| death.as_nanos()).collect(),
+            })
+        };
+        self.children.iter().filter_map(orphan).collect()
     }
 
     /// The children.
     pub fn status(&self) -> Vec<ChildStatus> {
-        self.children.iter().map(|child| child.status).collect()
+        let status = |child: &Supervised| ChildStatus {
+            process: child.command.process,
+            pid: child.running.as_ref().map(Running::number),
+            criticality: child.command.rule.criticality,
+            phase: self.policy.phase(child.command.process).cloned().unwrap_or(Phase::Stopped),
+            incarnation: self.policy.incarnation(child.command.process).unwrap_or_default(),
+            restarts: child.restarts,
+            recoveries_s: child.recoveries_s.clone(),
+            beat_at: child.beat_at,
+            health: child.health,
+            usage: child.usage,
+        };
+        self.children.iter().map(status).collect()
     }
 
     /// Notes a heartbeat. Those of former incarnations, still in the buffers, do not count.
     pub fn heard(&mut self, health: &Health) {
-        let process = ProcessId::from_wire(health.stamp.producer);
-        let child = self.children.iter_mut().find(|child| Some(child.command.process) == process);
-        let Some(child) = child.filter(|child| child.incarnation == health.stamp.incarnation) else {
+        let Some(process) = ProcessId::from_wire(health.stamp.producer) else { return };
+        let (now, incarnation) = (host_now(), health.stamp.incarnation);
+        if self.policy.incarnation(process) != Some(incarnation) {
             return;
-        };
-        child.last_beat = host_now();
-        child.status.health = Some(*health);
-        if !std::mem::replace(&mut child.beaten, true)
-            && let Some(died_at) = child.died_at.take()
-        {
-            let recovery_s = child.last_beat.seconds_since(died_at);
-            let longest = child.status.longest_recovery_s.get_or_insert(recovery_s);
-            *longest = longest.max(recovery_s);
         }
+        if let Some(child) = self.children.iter_mut().find(|child| child.command.process == process) {
+            let has_refused = child.health.is_some_and(|before| health.dropped > before.dropped);
+            (child.beat_at, child.health) = (Some(now), Some(*health));
+            if process == ProcessId::Recorder {
+                child.recovered(now);
+            }
+            if has_refused {
+                self.tell(now, process, Event::Refused(incarnation));
+            }
+        }
+        self.tell(now, process, Event::Beat(incarnation));
     }
 
-    /// Waits at most `patience` for something to happen, and does what it calls for.
-    pub fn attend(&mut self, services: &Services, patience: Duration) -> Happening {
-        let until_restart = self.children.iter().filter_map(|child| child.restart_at).min();
-        let patience = until_restart.map_or(patience, |at| at.saturating_since(host_now()).min(patience));
-        let happening = match self.events.recv_timeout(patience) {
-            Ok(Event::Exited { process, incarnation, at, status }) => {
-                self.exited(services, (process, incarnation), at, &status)
-            }
-            Ok(Event::Signal(signal)) => Happening::Signal(signal),
-            Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => Happening::Nothing,
-        };
-        if !self.stopping {
-            self.restart_due();
-        }
-        happening
-    }
-
-    fn exited(
-        &mut self,
-        services: &Services,
-        (process, incarnation): (ProcessId, u32),
-        at: HostTime,
-        status: &std::io::Result<ExitStatus>,
-    ) -> Happening {
-        let how = describe(status);
-        // Between reaping and restarting, so that the successor finds its places free.
-        services.clean_dead_nodes();
-        let Some(child) = self.children.iter_mut().find(|child| child.command.process == process) else {
-            return Happening::Nothing;
-        };
-        if child.incarnation != incarnation {
-            return Happening::Nothing;
-        }
-        child.status.pid = None;
-        child.died_at = Some(at);
-        if self.stopping {
-            child.status.state = ChildState::Stopped;
-            return Happening::Nothing;
-        }
-        match child.policy.as_mut().map(|policy| policy.died(host_now())) {
-            Some(Decision::RestartAt(at)) => {
-                child.restart_at = Some(at);
-                child.status.state = ChildState::BackingOff;
-                Happening::Died(process, how)
-            }
-            Some(Decision::GiveUp) => {
-                child.status.state = ChildState::GivenUp;
-                let how = format!("{how}, too often");
-                let is_essential = child.command.is_essential;
-                if is_essential { Happening::RunEnded(process, how) } else { Happening::GivenUp(process, how) }
-            }
-            None => {
-                child.status.state = ChildState::GivenUp;
-                Happening::RunEnded(process, how)
-            }
-        }
-    }
-
-    fn restart_due(&mut self) {
+    /// Notes that a process published what others wait for.
+    pub fn saw_output(&mut self, stamp: &Stamp) {
+        let Some(process) = ProcessId::from_wire(stamp.producer) else { return };
         let now = host_now();
-        for index in 0..self.children.len() {
-            if self.children[index].restart_at.is_some_and(|at| at <= now) {
-                let child = &mut self.children[index];
-                child.restart_at = None;
-                child.incarnation += 1;
-                child.status.restarts += 1;
-                if self.spawn(index).is_err() {
-                    // Out of processes or memory: try again after the longest wait.
-                    let child = &mut self.children[index];
-                    let wait = child.command.restart.map_or(1000, |rule| rule.longest_ms);
-                    child.restart_at = Some(now + Duration::from_millis(wait));
+        if self.policy.incarnation(process) == Some(stamp.incarnation) {
+            let child = self.children.iter_mut().find(|child| child.command.process == process);
+            child.into_iter().for_each(|child| child.recovered(now));
+        }
+        self.tell(now, process, Event::Output(stamp.incarnation));
+    }
+
+    /// Waits at most `patience` for a child to end, and does what is due; what has happened since the last call.
+    /// Deadlines are judged by what was heard before, so that is to be reported first.
+    pub fn attend(&mut self, services: &Services, patience: Duration) -> Vec<Happening> {
+        wait_any(self.children.iter().filter_map(|child| child.running.as_ref()), patience);
+        self.reap(services);
+        self.look();
+        let actions = self.policy.tick(host_now());
+        self.carry_out(actions);
+        let signals: Vec<_> = self.signals.0.pending().map(Happening::Signal).collect();
+        self.happenings.extend(signals);
+        std::mem::take(&mut self.happenings)
+    }
+
+    fn reap(&mut self, services: &Services) {
+        let mut ended = Vec::new();
+        for child in &mut self.children {
+            let how = child.running.as_mut().and_then(Running::reap);
+            if let Some((how, running)) = how.and_then(|how| Some((how, child.running.take()?))) {
+                self.groups.push(running.number());
+                (child.died_at, child.beat_at) = (Some(host_now()), None);
+                ended.push((child.command.process, how));
+            }
+        }
+        self.groups.retain(|&group| reap_group(group));
+        if !ended.is_empty() {
+            // Between reaping and restarting, so that the successor finds its places free.
+            services.clean_dead_nodes();
+        }
+        for (process, how) in ended {
+            let incarnation = self.policy.incarnation(process).unwrap_or_default();
+            self.tell(host_now(), process, Event::Exited(incarnation, how));
+        }
+    }
+
+    /// Asks the kernel about those that do not beat, and now and then what all of them use.
+    fn look(&mut self) {
+        let (now, mut seen) = (host_now(), Vec::new());
+        for child in &mut self.children {
+            let elapsed = now.saturating_since(child.sampled);
+            if let Some(running) = child.running.as_mut().filter(|_| elapsed > SAMPLE_EVERY) {
+                (child.sampled, child.usage) = (now, running.usage(elapsed));
+            }
+            let process = child.command.process;
+            let is_quiet = child.beat_at.is_some_and(|at| now.saturating_since(at) > LOOK_AFTER);
+            let elapsed = now.saturating_since(child.looked);
+            if let Some(running) = child.running.as_mut().filter(|_| is_quiet && elapsed > LOOK_EVERY) {
+                child.looked = now;
+                match running.look(elapsed) {
+                    Look::Halted => seen.push((process, Event::Halted)),
+                    Look::Starved => seen.push((process, Event::Starved)),
+                    Look::Awake => {}
                 }
             }
         }
+        seen.into_iter().for_each(|(process, event)| self.tell(now, process, event));
     }
 
-    /// Kills children that have stopped beating: alive, but hung or stopped. To be called after every heartbeat that
-    /// has arrived was [`heard`](Self::heard). When the supervisor itself was away, the children get their time anew.
-    pub fn kill_silent(&mut self) {
-        let now = host_now();
-        let was_away = now.saturating_since(self.attended) > LONGEST_ABSENCE;
-        self.attended = now;
-        for child in self.children.iter_mut().filter(|child| child.status.state == ChildState::Running) {
-            if was_away {
-                child.last_beat = now;
-            }
-            let rule_s = child.command.restart.map_or(WORLD_DEADLINE_S, |rule| rule.heartbeat_deadline_s);
-            let deadline = if child.beaten { Duration::from_secs_f64(rule_s) } else { START_UP };
-            if now.saturating_since(child.last_beat) > deadline {
-                // Its exit arrives as an event, like any other death.
-                signal(child.status.pid, Signal::KILL);
-                child.last_beat = now;
+    fn tell(&mut self, now: HostTime, process: ProcessId, event: Event) {
+        let actions = self.policy.happened(now, process, event);
+        self.carry_out(actions);
+    }
+
+    fn carry_out(&mut self, actions: Vec<Action>) {
+        let mut actions = VecDeque::from(actions);
+        while let Some(action) = actions.pop_front() {
+            match action {
+                Action::Start(process, incarnation) => {
+                    if let Err(why) = self.start_child(process, incarnation) {
+                        actions.extend(self.policy.happened(host_now(), process, Event::NotStarted(why.to_string())));
+                    }
+                }
+                Action::Terminate(process) => self.signal(process, Signal::TERM),
+                Action::Kill(process, why) => {
+                    self.signal(process, Signal::KILL);
+                    self.happenings.push(Happening::Ended(process, why));
+                }
+                Action::Died(process, how, wait) => self.happenings.push(Happening::Died(process, how, wait)),
+                Action::GaveUp(process, why) => self.happenings.push(Happening::GaveUp(process, why)),
+                Action::EndRun(process, how) => self.happenings.push(Happening::RunEnded(process, how)),
             }
         }
     }
 
-    fn spawn(&mut self, index: usize) -> std::io::Result<()> {
-        let child = &mut self.children[index];
-        let (program, arguments) = child.command.arguments.split_first().ok_or(std::io::ErrorKind::InvalidInput)?;
-        let incarnation = child.incarnation;
-        let spawned = Command::new(program)
-            .args(arguments)
-            .arg("--incarnation")
-            .arg(incarnation.to_string())
-            .stdin(Stdio::null())
-            .stdout(Stdio::null())
-            // A group of its own: Ctrl-C reaches the supervisor alone, which stops the others in order.
-            .process_group(0)
-            .spawn()?;
-        child.status.pid = Some(spawned.id());
-        child.status.state = ChildState::Running;
-        child.status.health = None;
-        (child.last_beat, child.beaten) = (host_now(), false);
-        wait_for(spawned, child.command.process, incarnation, self.sender.clone());
+    fn start_child(&mut self, process: ProcessId, incarnation: u32) -> std::io::Result<()> {
+        let Some(child) = self.children.iter_mut().find(|child| child.command.process == process) else {
+            return Ok(());
+        };
+        let mut arguments = child.command.arguments.clone();
+        arguments.extend(["--incarnation".to_owned(), incarnation.to_string()]);
+        child.restarts += u32::from(incarnation > 0);
+        (child.health, child.beat_at, child.usage) = (None, None, None);
+        // Out of processes, memory or descriptors: a death like any other, to be tried again after a wait.
+        child.running = Some(Running::start(&arguments).inspect_err(|_| {
+            let _ = child.died_at.get_or_insert(host_now());
+        })?);
+        self.happenings.push(Happening::Started(process, incarnation));
         Ok(())
     }
 
-    /// Stops everything: SIGTERM, SIGKILL to what is left after a grace; the recorder last, so that it has it all.
-    /// Returns the status of the children before.
-    pub fn stop(&mut self) -> Vec<ChildStatus> {
-        self.stopping = true;
-        let last_seen = self.status();
-        self.stop_those(|process| process != ProcessId::Recorder);
-        self.stop_those(|_| true);
-        last_seen
+    fn signal(&self, process: ProcessId, signal: Signal) {
+        let child = self.children.iter().find(|child| child.command.process == process);
+        if let Some(running) = child.and_then(|child| child.running.as_ref()) {
+            running.signal(signal);
+            if signal == Signal::TERM {
+                // A stopped process handles no signal until it continues.
+                running.signal(Signal::CONT);
+            }
+        }
     }
 
-    fn stop_those(&mut self, which: impl Fn(ProcessId) -> bool) {
-        for child in self.children.iter_mut().filter(|child| which(child.command.process)) {
-            child.restart_at = None;
-            signal(child.status.pid, Signal::TERM);
-            // A stopped process handles no signal until it continues.
-            signal(child.status.pid, Signal::CONT);
-        }
-        let (started, mut killed) = (host_now(), false);
-        while self.children.iter().any(|child| which(child.command.process) && child.status.pid.is_some()) {
-            if let Ok(Event::Exited { process, incarnation, .. }) = self.events.recv_timeout(Duration::from_millis(50))
-            {
-                let child = self.children.iter_mut().find(|child| child.command.process == process);
-                if let Some(child) = child.filter(|child| child.incarnation == incarnation) {
-                    child.status.pid = None;
-                    child.status.state = ChildState::Stopped;
-                }
-            }
-            if !killed && host_now().saturating_since(started) > GRACE {
-                killed = true;
-                let stubborn = self.children.iter().filter(|child| which(child.command.process));
-                stubborn.for_each(|child| signal(child.status.pid, Signal::KILL));
+    /// Ends everything in the order of the rules. A second signal meanwhile kills what is left at once.
+    /// Returns the status of the children before.
+    pub fn stop(&mut self, services: &Services) -> Vec<ChildStatus> {
+        let last_seen = self.status();
+        let actions = self.policy.stop(host_now());
+        self.carry_out(actions);
+        while !self.policy.is_over() {
+            let happened = self.attend(services, Duration::from_millis(20));
+            if happened.iter().any(|happening| matches!(happening, Happening::Signal(_))) {
+                let running = self.children.iter().filter_map(|child| child.running.as_ref());
+                running.for_each(|running| running.signal(Signal::KILL));
             }
         }
+        last_seen
     }
 }
 
 impl Drop for Supervision {
     fn drop(&mut self) {
-        self.stop();
+        // Nobody lives on after whoever was to watch it, whatever it was that ended the watch.
+        for running in self.children.iter_mut().filter_map(|child| child.running.as_mut()) {
+            running.signal(Signal::KILL);
+            wait_any([&*running], Duration::from_secs(1));
+            let _ = running.reap();
+        }
     }
 }
 
 impl Supervised {
     fn new(command: ChildCommand) -> Self {
         Self {
-            status: ChildStatus {
-                process: command.process,
-                pid: None,
-                state: ChildState::Stopped,
-                restarts: 0,
-                longest_recovery_s: None,
-                health: None,
-            },
-            policy: command.restart.map(Policy::new),
             command,
-            incarnation: 0,
-            restart_at: None,
+            running: None,
+            restarts: 0,
             died_at: None,
-            last_beat: host_now(),
-            beaten: false,
+            recoveries_s: Vec::new(),
+            beat_at: None,
+            looked: HostTime::ZERO,
+            health: None,
+            sampled: HostTime::ZERO,
+            usage: None,
         }
     }
-}
 
-/// A thread that does nothing but wait for one child: prompt, and it blocks nobody.
-fn wait_for(mut child: Child, process: ProcessId, incarnation: u32, sender: Sender<Event>) {
-    std::thread::spawn(move || {
-        let status = child.wait();
-        let at = host_now();
-        // Nobody listens any more when the run is over.
-        let _ = sender.send(Event::Exited { process, incarnation, at, status });
-    });
-}
-
-fn signal(pid: Option<u32>, signal: Signal) {
-    if let Some(pid) = pid.and_then(|pid| Pid::from_raw(pid as i32)) {
-        // It may have died in this moment; its exit is on the way then.
-        let _ = kill_process(pid, signal);
-    }
-}
-
-fn describe(status: &std::io::Result<ExitStatus>) -> String {
-    match status {
-        Ok(status) => match (status.code(), status.signal()) {
-            (Some(code), _) => format!("exited with status {code}"),
-            (None, Some(signal)) => format!("was killed by signal {signal}"),
-            (None, None) => "ended".to_owned(),
-        },
-        Err(error) => format!("could not be waited for: {error}"),
+    fn recovered(&mut self, now: HostTime) {
+        if let Some(died_at) = self.died_at.take()
+            && self.recoveries_s.len() < RECOVERIES
+        {
+            self.recoveries_s.push(now.seconds_since(died_at));
+        }
     }
 }

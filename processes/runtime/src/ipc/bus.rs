@@ -73,10 +73,10 @@ pub(super) fn bell_name(process: ProcessId) -> Result<ServiceName, IpcError> {
 }
 
 /// The attribute that refuses processes built with other messages.
-pub(super) fn schema<T: Topic>() -> Result<(AttributeKey, AttributeValue), IpcError> {
+pub(super) fn schema<T: Topic>(salt: u64) -> Result<(AttributeKey, AttributeValue), IpcError> {
     let key = AttributeKey::try_from("schema").doing("name the schema attribute")?;
-    let value =
-        AttributeValue::try_from(format!("{:016x}", T::schema_hash()).as_str()).doing("write the schema hash")?;
+    let value = AttributeValue::try_from(format!("{:016x}", T::schema_hash() ^ salt).as_str())
+        .doing("write the schema hash")?;
     Ok((key, value))
 }
 

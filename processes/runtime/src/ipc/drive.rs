@@ -1,24 +1,27 @@
 //! The loop of a process: sleep, step, heartbeat.
 
+use super::injection::Injection;
+use super::lease::Lease;
 use super::{IpcError, IpcPorts};
+use crate::faults::Fault;
 use crate::ports::{Connect, Ports, Process, Report, host_now};
 use crate::run_dir::RunDir;
 use ipc_types::messages::HealthLevel;
 use ipc_types::topics::HealthReports;
 use ipc_types::wire::Text;
-use ipc_types::{HostTime, StereoRig};
+use ipc_types::{FlightTime, HostTime, StereoRig};
 use signal_hook::consts::{SIGINT, SIGTERM};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 /// Heartbeats per second: one every so often.
-const HEARTBEAT: Duration = Duration::from_millis(100);
+const HEARTBEAT: Duration = Duration::from_millis(50);
 /// Longest sleep, so that a signal or an orphaned process is noticed.
 const LONGEST_SLEEP: Duration = Duration::from_millis(20);
 
 /// How a process is to be driven.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct DriveOptions {
     /// Which restart of the process this is.
     pub incarnation: u32,
@@ -26,6 +29,10 @@ pub struct DriveOptions {
     pub supervisor: u32,
     /// How long the process lives on after its supervisor has died.
     pub lease: Duration,
+    /// What is to go wrong in this run.
+    pub faults: Vec<Fault>,
+    /// Makes its messages others than they are: for showing that such a process is refused. 0 for what flies.
+    pub schema_salt: u64,
 }
 
 /// Heartbeat state.
@@ -35,6 +42,7 @@ struct Heart {
     last_step: Duration,
     longest_step: Duration,
     reported: Option<HealthLevel>,
+    last_report: Report,
 }
 
 /// Drives a process until SIGTERM or SIGINT, or until its supervisor has been dead for the lease.
@@ -48,7 +56,7 @@ pub fn drive<P: Process>(mut process: P, run: &RunDir, rig: &StereoRig, options:
             .map_err(|error| IpcError::new("watch signals")(&error))?;
     }
     let makes_time = process.flight_time(host_now()).is_some();
-    let mut ports = IpcPorts::open(run, P::ID, options.incarnation, rig, |ports| {
+    let mut ports = IpcPorts::open_salted(run, P::ID, options.incarnation, rig, options.schema_salt, |ports| {
         process.connect(ports);
         ports.writes::<HealthReports>();
         if !makes_time {
@@ -56,21 +64,26 @@ pub fn drive<P: Process>(mut process: P, run: &RunDir, rig: &StereoRig, options:
         }
     })?;
     let _alive = run.join().map_err(|error| IpcError::new("join the run")(&error))?;
-    let supervisor = rustix::process::Pid::from_raw(options.supervisor as i32);
-    let mut orphaned_since = None;
+    ports.keep_black_box(run);
+    ports.inject(Injection::new(&options.faults, P::ID, options.incarnation));
+    let mut lease = Lease::new(run, options.supervisor, options.lease);
+    let mut injection = Injection::new(&options.faults, P::ID, options.incarnation);
     let mut heart = Heart {
         last_beat: HostTime::ZERO,
         steps: 0,
         last_step: Duration::ZERO,
         longest_step: Duration::ZERO,
         reported: None,
+        last_report: Report::waiting("starting"),
     };
+    tracing::info!(pid = std::process::id(), "up");
     while !stop.load(Ordering::Relaxed) {
-        if rustix::process::getppid() != supervisor {
-            let since = *orphaned_since.get_or_insert_with(host_now);
-            if host_now().saturating_since(since) > options.lease {
-                break;
-            }
+        if lease.is_over() {
+            tracing::warn!(
+                flight_s = ports.now().as_secs_f64(),
+                "the supervisor is dead, and nobody has taken over: ending"
+            );
+            break;
         }
         let until_next = process.next_wake().map_or(LONGEST_SLEEP, |at| at.saturating_since(ports.now()));
         if until_next > Duration::ZERO {
@@ -81,8 +94,12 @@ pub fn drive<P: Process>(mut process: P, run: &RunDir, rig: &StereoRig, options:
             None => ports.refresh(),
         }
         let started = host_now();
-        let report = process.step(&mut ports);
+        let report = match injection.may_step(ports.now()) {
+            true => process.step(&mut ports),
+            false => heart.last_report,
+        };
         let ended = host_now();
+        heart.last_report = report;
         heart.steps += u64::from(report.worked);
         if report.worked {
             heart.last_step = ended.saturating_since(started);
@@ -91,13 +108,27 @@ pub fn drive<P: Process>(mut process: P, run: &RunDir, rig: &StereoRig, options:
         let changed = heart.reported != Some(report.level);
         if changed || ended.saturating_since(heart.last_beat) >= HEARTBEAT {
             heart.last_beat = ended;
+            if changed {
+                log_health(ports.now(), &report);
+            }
             heart.reported = Some(report.level);
             process.housekeep();
             beat(&mut ports, &heart, &report);
         }
     }
     process.finish(&mut ports);
+    tracing::info!(flight_s = ports.now().as_secs_f64(), "ended");
     Ok(())
+}
+
+/// A change of health, in the run's log.
+fn log_health(now: FlightTime, report: &Report) {
+    let flight_s = now.as_secs_f64();
+    match report.level {
+        HealthLevel::Ok => tracing::info!(flight_s, "well"),
+        HealthLevel::Degraded => tracing::info!(flight_s, note = report.note, "degraded"),
+        HealthLevel::Faulted => tracing::warn!(flight_s, note = report.note, dropped = report.dropped, "faulted"),
+    }
 }
 
 fn beat(ports: &mut IpcPorts, heart: &Heart, report: &Report) {

@@ -4,15 +4,21 @@
 //! every service refuses a process that was built with other messages. Consumers sleep on one event each, their
 //! *bell*, which producers ring after publishing; every wake-up drains all topics, so no ring is ever needed twice.
 
+mod black_box;
 mod bus;
 mod clock;
 mod drive;
+mod injection;
+mod lease;
 mod ports;
 mod services;
+pub mod stall;
 
+pub use black_box::{LastInput, last_inputs};
 pub use drive::{DriveOptions, drive};
 pub use ports::{IpcMessage, IpcPorts};
 pub use services::Services;
+pub use stall::hold_messages;
 
 /// What iceoryx2 or the run's folder refused.
 #[derive(Debug, thiserror::Error)]

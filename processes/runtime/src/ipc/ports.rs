@@ -1,7 +1,9 @@
 //! A process' publishers, subscribers and bell.
 
+use super::black_box::BlackBox;
 use super::bus::{ElementOf, HeaderOf, bell_name, config, node, opening, schema, topic_builder};
 use super::clock::ClockFollower;
+use super::injection::{Fate, Injection};
 use super::{IpcError, While};
 use crate::images::ImageStore;
 use crate::missed::Missed;
@@ -15,11 +17,11 @@ use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::prelude::*;
 use iceoryx2::sample::Sample;
-use ipc_types::topics::{Clock, RECORDER_DEPTH, RECORDER_IMAGE_DEPTH, Topic};
+use ipc_types::topics::{Clock, RECORDER_DEPTH, RECORDER_IMAGE_DEPTH, TOPICS, Topic};
 use ipc_types::wire::{Header, Stamp};
-use ipc_types::{FlightTime, ProcessId, StereoRig};
+use ipc_types::{FlightTime, HostTime, ProcessId, StereoRig};
 use std::any::Any;
-use std::collections::HashMap;
+use std::collections::{HashMap, VecDeque};
 use std::mem::MaybeUninit;
 use std::time::Duration;
 
@@ -40,15 +42,21 @@ struct Outgoing<T: Topic> {
     publisher: Publisher<ipc::Service, [ElementOf<T>], HeaderOf<T>>,
     bells: Vec<Notifier<ipc::Service>>,
     sequence: u64,
+    /// Messages that an injected fault holds back, and until when.
+    late: VecDeque<(HostTime, T::Header, Vec<T::Element>)>,
 }
 
 struct Incoming<T: Topic> {
     subscriber: Subscriber<ipc::Service, [ElementOf<T>], HeaderOf<T>>,
+    /// Its place in the table of topics.
+    index: usize,
 }
 
 /// A type-erased publisher, for the calls that do not depend on the topic.
 trait Connected: Any {
     fn serve_late_subscribers(&self);
+    /// Sends what was held back until now.
+    fn release(&mut self, now: HostTime) -> Result<(), IpcError>;
     fn as_any(&mut self) -> &mut dyn Any;
 }
 
@@ -57,8 +65,37 @@ impl<T: Topic> Connected for Outgoing<T> {
         // A connection that fails now is tried again at the next heartbeat.
         let _ = self.publisher.update_connections();
     }
+    fn release(&mut self, now: HostTime) -> Result<(), IpcError> {
+        while let Some((_, header, elements)) = self.late.pop_front_if(|(due, ..)| *due <= now) {
+            self.send_copy(&header, &elements)?;
+        }
+        Ok(())
+    }
     fn as_any(&mut self) -> &mut dyn Any {
         self
+    }
+}
+
+impl<T: Topic> Outgoing<T> {
+    /// Rings the bells of those whom a message wakes.
+    fn ring(&self) {
+        for bell in &self.bells {
+            // A consumer that is being restarted has no listener; it drains its topics when it starts.
+            let _ = bell.notify();
+        }
+    }
+
+    /// Sends a message that was made before: only injected faults do.
+    fn send_copy(&mut self, header: &T::Header, elements: &[T::Element]) -> Result<(), IpcError> {
+        let name = T::INFO.name;
+        let mut sample = self.publisher.loan_slice(elements.len()).doing(format!("loan a message of {name}"))?;
+        for (slot, element) in sample.payload_mut().iter_mut().zip(elements) {
+            slot.0 = *element;
+        }
+        sample.user_header_mut().0 = *header;
+        sample.send().doing(format!("send on {name}"))?;
+        self.ring();
+        Ok(())
     }
 }
 
@@ -81,6 +118,9 @@ pub struct IpcPorts {
     failures: u64,
     missed: Missed,
     first_error: Option<IpcError>,
+    black_box: Option<BlackBox>,
+    injection: Injection,
+    schema_salt: u64,
 }
 
 impl std::fmt::Debug for IpcPorts {
@@ -99,6 +139,18 @@ impl IpcPorts {
         process: ProcessId,
         incarnation: u32,
         rig: &StereoRig,
+        connect: impl FnOnce(&mut Self),
+    ) -> Result<Self, IpcError> {
+        Self::open_salted(run, process, incarnation, rig, 0, connect)
+    }
+
+    /// [`open`](Self::open) as a process whose messages are others, unless the salt is 0.
+    pub(super) fn open_salted(
+        run: &RunDir,
+        process: ProcessId,
+        incarnation: u32,
+        rig: &StereoRig,
+        schema_salt: u64,
         connect: impl FnOnce(&mut Self),
     ) -> Result<Self, IpcError> {
         let node = node(&config(run, false)?, process)?;
@@ -124,12 +176,25 @@ impl IpcPorts {
             failures: 0,
             missed: Missed::default(),
             first_error: None,
+            black_box: None,
+            injection: Injection::new(&[], process, incarnation),
+            schema_salt,
         };
         connect(&mut ports);
         match ports.first_error.take() {
             Some(error) => Err(error),
             None => Ok(ports),
         }
+    }
+
+    /// Notes, from now on, what is received, where it outlives this process. Where that cannot be, there is no such account.
+    pub(super) fn keep_black_box(&mut self, run: &RunDir) {
+        self.black_box = BlackBox::create(run, self.process).ok();
+    }
+
+    /// What is to become of messages.
+    pub(super) fn inject(&mut self, injection: Injection) {
+        self.injection = injection;
     }
 
     /// Messages that could not be published or received because shared memory refused, since start.
@@ -158,6 +223,17 @@ impl IpcPorts {
         }
         follow_clock(&mut self.clock, self.clock_port.as_ref());
         self.now = self.clock.at(host_now());
+        self.release_late();
+    }
+
+    /// Sends what injected faults have held back until now.
+    fn release_late(&mut self) {
+        if self.injection.is_none() {
+            return;
+        }
+        let now = host_now();
+        let failed = self.outgoing.values_mut().filter_map(|port| port.release(now).err()).count();
+        self.failures += failed as u64;
     }
 
     /// Declares that this process follows the flight clock. To be called while opening.
@@ -172,6 +248,7 @@ impl IpcPorts {
     pub(super) fn set_own_time(&mut self, now: FlightTime) {
         self.own_time = Some(now);
         self.now = now;
+        self.release_late();
     }
 
     /// Lets subscribers that came after the last message have it.
@@ -180,7 +257,7 @@ impl IpcPorts {
     }
 
     fn create_publisher<T: Topic>(&self) -> Result<Outgoing<T>, IpcError> {
-        let (key, value) = schema::<T>()?;
+        let (key, value) = schema::<T>(self.schema_salt)?;
         let verifier = AttributeVerifier::new().require(&key, &value).doing("ask for the schema hash")?;
         let service = topic_builder::<T>(&self.node)?.open_with_attributes(&verifier).doing(opening(&T::INFO))?;
         let publisher = service
@@ -195,11 +272,11 @@ impl IpcPorts {
             let bell = bell.doing(format!("open the bell of {}", consumer.process))?;
             bells.push(bell.notifier_builder().create().doing(format!("ring the bell of {}", consumer.process))?);
         }
-        Ok(Outgoing { publisher, bells, sequence: 0 })
+        Ok(Outgoing { publisher, bells, sequence: 0, late: VecDeque::new() })
     }
 
     fn create_subscriber<T: Topic>(&self) -> Result<Incoming<T>, IpcError> {
-        let (key, value) = schema::<T>()?;
+        let (key, value) = schema::<T>(self.schema_salt)?;
         let verifier = AttributeVerifier::new().require(&key, &value).doing("ask for the schema hash")?;
         let service = topic_builder::<T>(&self.node)?.open_with_attributes(&verifier).doing(opening(&T::INFO))?;
         let depth = match (self.process, T::INFO.is_image) {
@@ -208,7 +285,8 @@ impl IpcPorts {
             _ => T::INFO.depth,
         };
         let subscriber = service.subscriber_builder().buffer_size(depth).create();
-        Ok(Incoming { subscriber: subscriber.doing(format!("subscribe to {}", T::INFO.name))? })
+        let index = TOPICS.iter().position(|topic| topic.name == T::INFO.name).unwrap_or(TOPICS.len());
+        Ok(Incoming { subscriber: subscriber.doing(format!("subscribe to {}", T::INFO.name))?, index })
     }
 
     fn send<T: Topic>(
@@ -219,6 +297,7 @@ impl IpcPorts {
     ) -> Result<(), IpcError> {
         let name = T::INFO.name;
         let (process, incarnation, own_time) = (self.process, self.incarnation, self.own_time);
+        let fate = if self.injection.is_none() { Fate::default() } else { self.injection.fate(&T::INFO, self.now) };
         let port = self.outgoing.get_mut(name).and_then(|port| port.as_any().downcast_mut::<Outgoing<T>>());
         let Some(port) = port else {
             return Err(IpcError::new(format!("publish on {name}"))(&"the process did not declare it"));
@@ -242,13 +321,21 @@ impl IpcPorts {
             incarnation,
             producer: process as u32,
         };
+        if fate.is_damaged {
+            // Not its stamp, by which receivers and accounts name it.
+            self.injection.damage(&mut bytemuck::bytes_of_mut(&mut header)[size_of::<Stamp>()..]);
+            self.injection.damage(bytemuck::cast_slice_mut(slice));
+        }
+        if fate.is_doubled || fate.late_by > Duration::ZERO {
+            port.late.push_back((host_now() + fate.late_by, header, slice.to_vec()));
+        }
+        if fate.is_lost || fate.late_by > Duration::ZERO {
+            return Ok(());
+        }
         sample.user_header_mut().0 = header;
         // SAFETY: as above, every element is initialised.
         unsafe { sample.assume_init() }.send().doing(format!("send on {name}"))?;
-        for bell in &port.bells {
-            // A consumer that is being restarted has no listener; it drains its topics when it starts.
-            let _ = bell.notify();
-        }
+        port.ring();
         Ok(())
     }
 }
@@ -293,6 +380,9 @@ impl Ports for IpcPorts {
             Ok(sample) => {
                 let message: IpcMessage<T> = sample.map(IpcMessage)?;
                 self.missed.received(&T::INFO, self.process, message.header().stamp());
+                if let Some(black_box) = &mut self.black_box {
+                    black_box.note(port.index, message.header().stamp());
+                }
                 Some(message)
             }
             Err(_) => {

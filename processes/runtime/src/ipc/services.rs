@@ -26,11 +26,11 @@ pub struct Services {
 }
 
 impl Services {
-    /// Creates every topic and every bell.
+    /// Creates every topic and every bell; in a run that was taken over, opens those that its processes hold.
     ///
     /// # Errors
     /// Whatever iceoryx2 refuses.
-    pub fn create(run: &RunDir) -> Result<Self, IpcError> {
+    pub fn hold(run: &RunDir) -> Result<Self, IpcError> {
         let config = config(run, true)?;
         let node = node(&config, ProcessId::Supervisor)?;
         let mut held: Vec<Box<dyn Any>> = Vec::new();
@@ -47,11 +47,14 @@ impl Services {
                 .max_listeners(1 + SPARE_PORTS)
                 .max_nodes(2 * nodes)
                 .event_id_max_value(1)
-                .create()
+                .open_or_create()
                 .doing(format!("create the bell of {process}"))?;
             held.push(Box::new(bell));
         }
-        Ok(Self { config, _held: held, _node: node })
+        let services = Self { config, _held: held, _node: node };
+        // What a dead supervisor has left. The services themselves are held by now.
+        services.clean_dead_nodes();
+        Ok(services)
     }
 
     /// Removes what dead processes left. To be called after reaping and before restarting.
@@ -73,8 +76,8 @@ impl Services {
 
 fn create_topic<T: Topic>(node: &Node<ipc::Service>) -> Result<Box<dyn Any>, IpcError> {
     let info = T::INFO;
-    let (key, value) = schema::<T>()?;
-    let attributes = AttributeSpecifier::new().define(&key, &value).doing("attach the schema hash")?;
+    let (key, value) = schema::<T>(0)?;
+    let attributes = AttributeVerifier::new().require(&key, &value).doing("attach the schema hash")?;
     let deepest = if info.is_image { RECORDER_IMAGE_DEPTH } else { RECORDER_DEPTH };
     let ports = info.producers.len() + info.consumers.len() + SPARE_PORTS;
     let service = topic_builder::<T>(node)?
@@ -86,7 +89,7 @@ fn create_topic<T: Topic>(node: &Node<ipc::Service>) -> Result<Box<dyn Any>, Ipc
         .max_nodes(2 * ports + 1)
         .enable_safe_overflow(true)
         .payload_alignment(Alignment::ALIGN_64)
-        .create_with_attributes(&attributes)
+        .open_or_create_with_attributes(&attributes)
         .doing(format!("create topic {}", info.name))?;
     Ok(Box::new(service))
 }

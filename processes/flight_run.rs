@@ -1,0 +1,179 @@
+//! A flight over processes: starts or takes over the graph, and attends to it until the mission has ended.
+
+use crate::config::FlightConfig;
+use crate::crash;
+use crate::display::{Display, why_not_ready};
+use crate::graph_config::Member;
+use crate::inject::Injector;
+use crate::logging;
+use crate::run_files::RunFiles;
+use crate::run_record::{Recordkeeper, RunRecord};
+use ipc_types::ProcessId;
+use runtime::ipc::{IpcPorts, Services};
+use runtime::run_dir::RunDir;
+use runtime::{Ports, Process};
+use sd_notify::NotifyState;
+use std::error::Error;
+use std::path::Path;
+use supervisor::{
+    ATTENTION, ChildCommand, ChildStatus, Happening, Mission, Outcome, Phase, ProcessSummary, SignalWatch, Summary,
+    Supervision,
+};
+
+/// The command line of a child.
+pub(crate) fn command(run: &RunDir, folder: &Path, member: &Member) -> std::io::Result<ChildCommand> {
+    let process = member.process;
+    let program = std::env::current_exe()?.display().to_string();
+    let folder = folder.display().to_string();
+    let own = std::process::id().to_string();
+    let arguments =
+        [program.as_str(), "process", process.name(), "--run", run.name(), "--run-dir", &folder, "--supervisor", &own];
+    Ok(ChildCommand { process, arguments: arguments.map(str::to_owned).to_vec(), rule: member.rule })
+}
+
+/// A flight under way.
+struct FlightRun<'a> {
+    run: &'a RunDir,
+    folder: &'a Path,
+    mission: Mission,
+    supervision: Supervision,
+    record: Recordkeeper,
+    injector: Injector,
+    is_ready: bool,
+}
+
+/// Flies; `before` is the record of a supervisor that died, whose run is taken over.
+pub(crate) fn fly(
+    config: &FlightConfig,
+    run: &RunDir,
+    files: &RunFiles,
+    signals: SignalWatch,
+    before: Option<&RunRecord>,
+) -> Result<Summary, Box<dyn Error>> {
+    // First of all: the children's lease runs.
+    run.name_supervisor(std::process::id())?;
+    let takeovers = before.map_or(0, |record| record.takeovers + 1);
+    let _log = logging::begin(files.folder(), run.name(), ProcessId::Supervisor, takeovers)?;
+    let services = Services::hold(run)?;
+    let mut mission = Mission::new(config.mission.clone(), config.graph.ladder);
+    before.into_iter().for_each(|record| mission.resume(record.passed));
+    let mut ports = IpcPorts::open(run, ProcessId::Supervisor, takeovers, &config.vehicle.rig, |ports| {
+        mission.connect(ports);
+        ports.follow_flight_clock();
+    })?;
+    let commands = config.graph.processes.iter().map(|member| command(run, files.folder(), member));
+    let commands = commands.collect::<std::io::Result<Vec<_>>>()?;
+    let intruder = commands.iter().find(|command| command.process == ProcessId::Planner);
+    let intruder = intruder.map_or(Vec::new(), |command| command.arguments.clone());
+    let from_s = before.map_or(f64::NEG_INFINITY, |record| record.flight_s);
+    let orphans = before.map_or(&[][..], |record| &record.orphans);
+    let mut flight = FlightRun {
+        run,
+        folder: files.folder(),
+        mission,
+        supervision: Supervision::start(commands, signals, orphans),
+        record: Recordkeeper::new(run, files.folder().to_owned(), takeovers),
+        injector: Injector::new(run, &config.vehicle.rig, &config.faults, from_s, intruder),
+        is_ready: false,
+    };
+    let mut display = Display::new(config.mission.goal());
+    while flight.mission.outcome().is_none() {
+        flight.attend(&services, &mut ports);
+        display.show(&flight.mission, &flight.supervision.status());
+    }
+    display.clear();
+    Ok(flight.end(&services))
+}
+
+impl FlightRun<'_> {
+    /// One round: what happened, what was heard, what is due.
+    fn attend(&mut self, services: &Services, ports: &mut IpcPorts) {
+        ports.refresh();
+        self.mission.step(ports);
+        ports.serve_late_subscribers();
+        self.mission.take_heartbeats().iter().for_each(|health| self.supervision.heard(health));
+        for stamp in self.mission.take_outputs() {
+            self.record.count(stamp.producer);
+            self.supervision.saw_output(&stamp);
+        }
+        let before = self.supervision.status();
+        for happening in self.supervision.attend(services, ATTENTION) {
+            self.tell(&happening, &before);
+        }
+        let children = self.supervision.status();
+        self.mission.see_processes(&children);
+        self.record.keep(&self.mission, &self.supervision);
+        self.injector.inject(&self.mission, &children);
+        self.notify_systemd(&children);
+        if ports.now().as_secs_f64() > 0.0 && self.mission.outcome().is_some() {
+            tracing::info!(flight_s = ports.now().as_secs_f64(), outcome = ?self.mission.outcome(), "the mission has ended");
+        }
+    }
+
+    /// Says what happened: to whoever watches, in the run's log, and in a crash report.
+    fn tell(&mut self, happening: &Happening, before: &[ChildStatus]) {
+        let flight_s = self.mission.now().as_secs_f64();
+        match happening {
+            Happening::Started(child, incarnation) => {
+                tracing::info!(flight_s, child = child.name(), incarnation, "started");
+            }
+            Happening::Died(child, how, wait) => {
+                eprintln!("sparrowhawk: {child} {how}: restarting it");
+                tracing::warn!(flight_s, child = child.name(), how, wait_ms = wait.as_millis() as u64, "died");
+                self.report(*child, how, before);
+            }
+            Happening::Ended(child, why) => {
+                tracing::warn!(flight_s, child = child.name(), why, "killed");
+            }
+            Happening::GaveUp(child, why) => {
+                eprintln!("sparrowhawk: {child} {why}: given up");
+                tracing::error!(flight_s, child = child.name(), why, "given up");
+                self.report(*child, why, before);
+            }
+            Happening::RunEnded(child, how) => {
+                eprintln!("sparrowhawk: {child} {how}: the run is over");
+                tracing::error!(flight_s, child = child.name(), how, "the run is over");
+                self.report(*child, how, before);
+                self.mission.end(Outcome::ProcessLost);
+            }
+            Happening::Signal(number) => {
+                tracing::info!(flight_s, number, "signal");
+                self.mission.end(Outcome::Interrupted);
+            }
+        }
+    }
+
+    fn report(&self, process: ProcessId, how: &str, before: &[ChildStatus]) {
+        let flight_s = self.mission.now().as_secs_f64();
+        let died = before.iter().find(|child| child.process == process);
+        let written = died.map(|died| crash::report_death(self.run, self.folder, died, how, flight_s));
+        if let Some(Err(error)) = written {
+            tracing::warn!(flight_s, %error, "no crash report");
+        }
+    }
+
+    /// Readiness once every process has been heard, and that this loop goes round.
+    fn notify_systemd(&mut self, children: &[ChildStatus]) {
+        if !self.is_ready && children.iter().all(|child| child.phase == Phase::Running) {
+            self.is_ready = true;
+            // Without systemd there is nobody to tell.
+            let _ = sd_notify::notify(&[NotifyState::Ready, NotifyState::Status("flying")]);
+        }
+        let _ = sd_notify::notify(&[NotifyState::Watchdog]);
+    }
+
+    fn end(mut self, services: &Services) -> Summary {
+        if self.mission.truth().is_none_or(|truth| truth.airborne == 0) {
+            eprintln!("sparrowhawk: never took off: {}", why_not_ready(&self.supervision.status()));
+        }
+        let _ = sd_notify::notify(&[NotifyState::Stopping]);
+        let children = self.supervision.stop(services);
+        let mut summary = self.mission.summary();
+        summary.processes = children.iter().map(ProcessSummary::of).collect();
+        summary.restarts = children.iter().map(|child| child.restarts).sum();
+        summary.takeovers = self.record.takeovers();
+        summary.faults = self.injector.summary();
+        summary.processes.push(ProcessSummary::supervisor());
+        summary
+    }
+}

@@ -1,0 +1,146 @@
+//! The part of a flight's faults that is brought about from outside of its processes: signals, intruders, full memory. The
+//! rest is brought about by the processes themselves, which are told by the run's configuration.
+
+use ipc_types::{HostTime, ProcessId, StereoRig};
+use runtime::faults::{Fault, FaultKind};
+use runtime::host_now;
+use runtime::ipc::{hold_messages, stall};
+use runtime::run_dir::RunDir;
+use rustix::process::{Pid, Signal, kill_process};
+use std::collections::VecDeque;
+use std::process::{Child, Command, Stdio};
+use std::time::Duration;
+use supervisor::{ChildStatus, FaultSummary, Mission};
+
+/// Flight time after a fault over which it is looked at whether the world has waited, s.
+const CLOCK_S: f64 = 1.0;
+
+/// Injects the faults of a flight as their time comes, and keeps account of them.
+#[derive(Debug)]
+pub(crate) struct Injector {
+    run: RunDir,
+    rig: StereoRig,
+    /// Those to come, in order of time.
+    due: VecDeque<Fault>,
+    /// Those that came: the account, and where flight time and the time lost by the world stood.
+    injected: Vec<(FaultSummary, f64, f64)>,
+    /// What tries to join: command and process.
+    intruder: Vec<String>,
+    intruders: Vec<Child>,
+    /// Shared memory that is held full until then.
+    ballast: Option<(stall::Ballast, HostTime)>,
+}
+
+impl Injector {
+    /// For the faults that come after `from_s`; `intruder` is the command line of a process of the run.
+    pub(crate) fn new(run: &RunDir, rig: &StereoRig, faults: &[Fault], from_s: f64, intruder: Vec<String>) -> Self {
+        let mut due: Vec<_> = faults.iter().filter(|fault| fault.at_s > from_s).cloned().collect();
+        due.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
+        Self {
+            run: run.clone(),
+            rig: *rig,
+            due: due.into(),
+            injected: Vec::new(),
+            intruder,
+            intruders: Vec::new(),
+            ballast: None,
+        }
+    }
+
+    /// Brings about what is due.
+    pub(crate) fn inject(&mut self, mission: &Mission, children: &[ChildStatus]) {
+        let now_s = mission.now().as_secs_f64();
+        let lost_s = lost_s(mission);
+        for (summary, from_s, lost_before_s) in &mut self.injected {
+            let passed_s = now_s - *from_s;
+            if summary.clock_ratio.is_none() && passed_s >= CLOCK_S {
+                summary.clock_ratio = Some(passed_s / (passed_s + lost_s - *lost_before_s));
+            }
+        }
+        while let Some(fault) = self.due.pop_front_if(|fault| fault.at_s <= now_s) {
+            tracing::warn!(flight_s = now_s, fault = %fault, "injected");
+            let summary = FaultSummary {
+                at_s: now_s,
+                fault: fault.fault.name().to_owned(),
+                victim: fault.fault.victim().to_owned(),
+                clock_ratio: None,
+            };
+            self.injected.push((summary, now_s, lost_s));
+            self.bring_about(&fault, children);
+        }
+        if self.ballast.as_ref().is_some_and(|(_, until)| *until <= host_now()) {
+            self.ballast = None;
+        }
+        // Whoever was refused has ended; what has not been is seen by the account of the run.
+        self.intruders.retain_mut(|child| !matches!(child.try_wait(), Ok(Some(_))));
+    }
+
+    fn bring_about(&mut self, fault: &Fault, children: &[ChildStatus]) {
+        match &fault.fault {
+            FaultKind::Kill { process } => signal(*process, children, Signal::KILL),
+            FaultKind::Stop { process } => signal(*process, children, Signal::STOP),
+            FaultKind::FillMemory { for_s } => match stall::Ballast::fill() {
+                Ok(ballast) => self.ballast = Some((ballast, host_now() + Duration::from_secs_f64(*for_s))),
+                Err(why) => eprintln!("sparrowhawk: {fault}: {why}"),
+            },
+            FaultKind::StallReader { topic, for_s } => {
+                let (run, rig, topic) = (self.run.clone(), self.rig, topic.clone());
+                let time = Duration::from_secs_f64(*for_s);
+                // It ends by itself, and is nobody's to wait for.
+                std::thread::spawn(move || {
+                    if let Err(why) = hold_messages(&run, &rig, &topic, time) {
+                        eprintln!("sparrowhawk: cannot stall a reader of {topic}: {why}");
+                    }
+                });
+            }
+            FaultKind::OtherVersion => self.intrude(),
+            // The processes and the simulator have it from the run's configuration.
+            _ => {}
+        }
+    }
+
+    /// Has a process of another version try to join.
+    fn intrude(&mut self) {
+        let Some((program, arguments)) = self.intruder.split_first() else { return };
+        let mut command = Command::new(program);
+        command.args(arguments).args(["--incarnation", "999", "--schema-salt", "1"]);
+        match command.stdin(Stdio::null()).stdout(Stdio::null()).spawn() {
+            Ok(child) => self.intruders.push(child),
+            Err(why) => eprintln!("sparrowhawk: cannot start a process of another version: {why}"),
+        }
+    }
+
+    /// The account.
+    pub(crate) fn summary(&self) -> Vec<FaultSummary> {
+        self.injected.iter().map(|(summary, ..)| summary.clone()).collect()
+    }
+}
+
+impl Drop for Injector {
+    fn drop(&mut self) {
+        for child in &mut self.intruders {
+            // It may have ended in this moment.
+            let _ = child.kill();
+            let _ = child.wait();
+        }
+    }
+}
+
+/// Host time that the world has lost, s: by how much it has slowed flight time down.
+fn lost_s(mission: &Mission) -> f64 {
+    mission.truth().map_or(0.0, |truth| {
+        let flight_s = truth.stamp.valid_ns as f64 * 1e-9;
+        flight_s / truth.clock_ratio.max(1e-3) - flight_s
+    })
+}
+
+fn signal(process: ProcessId, children: &[ChildStatus], signal: Signal) {
+    let number = match process {
+        ProcessId::Supervisor => Some(std::process::id()),
+        _ => children.iter().find(|child| child.process == process).and_then(|child| child.pid),
+    };
+    if let Some(pid) = number.and_then(|number| Pid::from_raw(number.cast_signed())) {
+        // What is just being restarted is not there to be harmed.
+        let _ = kill_process(pid, signal);
+    }
+}
