@@ -6,10 +6,12 @@ use crate::config::FlightConfig;
 use crate::curves::{CurvesArguments, curves};
 use crate::evaluate::{EvaluateArguments, evaluate};
 use crate::expand::{ExpandArguments, expand};
+use crate::faults::{FaultsArguments, faults};
 use crate::fly::{FlyArguments, fly};
 use crate::map::{MapArguments, map};
 use crate::replay::{ReplayArguments, replay};
 use crate::run_files::VERSION;
+use crate::soak::{SoakArguments, soak};
 use crate::status::{StatusArguments, status};
 use crate::stereo::{StereoArguments, stereo};
 use clap::{Args, Parser, Subcommand};
@@ -50,6 +52,10 @@ enum Command {
     Curves(CurvesArguments),
     /// Calibrate a stereo pair from chessboards, or check a calibration; measure the disparity error.
     Calibrate(CalibrateArguments),
+    /// Fly many flights with injected faults, over real processes: a table of what followed from which fault.
+    Faults(FaultsArguments),
+    /// Fly to and fro for as long as is asked for, with faults: does memory grow?
+    Soak(SoakArguments),
     /// Watch a flight that is under way: its processes, as a live table.
     Status(StatusArguments),
     /// Check a configuration: every value, and how they fit each other.
@@ -83,6 +89,8 @@ pub fn run() -> Result<ExitCode, Box<dyn Error>> {
         Command::Map(arguments) => map(&arguments),
         Command::Curves(arguments) => curves(&arguments),
         Command::Calibrate(arguments) => calibrate::run(&arguments),
+        Command::Faults(arguments) => faults(&arguments),
+        Command::Soak(arguments) => soak(&arguments),
         Command::Status(arguments) => status(&arguments),
         Command::Check(arguments) => check(&arguments),
         Command::Process(arguments) => child::run(&arguments).map(|()| ExitCode::SUCCESS),

@@ -73,7 +73,7 @@ pub(crate) struct EvaluateArguments {
     jobs: Option<u64>,
 }
 
-fn parse_seeds(text: &str) -> Result<RangeInclusive<u64>, String> {
+pub(crate) fn parse_seeds(text: &str) -> Result<RangeInclusive<u64>, String> {
     let expected = || format!("is \"{text}\", expected FIRST..LAST or one number, the last no less than the first");
     let number = |text: &str| text.trim().trim_start_matches('=').parse::<u64>().map_err(|_| expected());
     let (first, last) = text.split_once("..").unwrap_or((text, text));

@@ -7,7 +7,7 @@ use crate::graph_config::Member;
 use crate::inject::Injector;
 use crate::logging;
 use crate::run_files::RunFiles;
-use crate::run_record::{Recordkeeper, RunRecord};
+use crate::run_record::{Account, Recordkeeper, RunRecord};
 use ipc_types::ProcessId;
 use runtime::ipc::{IpcPorts, Services};
 use runtime::run_dir::RunDir;
@@ -16,9 +16,12 @@ use sd_notify::NotifyState;
 use std::error::Error;
 use std::path::Path;
 use supervisor::{
-    ATTENTION, ChildCommand, ChildStatus, Happening, Mission, Outcome, Phase, ProcessSummary, SignalWatch, Summary,
-    Supervision,
+    ATTENTION, ChildCommand, ChildStatus, DeathSummary, Happening, Mission, Outcome, Phase, ProcessSummary,
+    RungSummary, SignalWatch, Summary, Supervision,
 };
+
+/// Deaths that are remembered.
+const MOST_DEATHS: usize = 10_000;
 
 /// The command line of a child.
 pub(crate) fn command(run: &RunDir, folder: &Path, member: &Member) -> std::io::Result<ChildCommand> {
@@ -39,6 +42,9 @@ struct FlightRun<'a> {
     supervision: Supervision,
     record: Recordkeeper,
     injector: Injector,
+    deaths: Vec<DeathSummary>,
+    /// Under former supervisors.
+    degradation: Vec<RungSummary>,
     is_ready: bool,
 }
 
@@ -66,6 +72,7 @@ pub(crate) fn fly(
     let intruder = commands.iter().find(|command| command.process == ProcessId::Planner);
     let intruder = intruder.map_or(Vec::new(), |command| command.arguments.clone());
     let from_s = before.map_or(f64::NEG_INFINITY, |record| record.flight_s);
+    let account = before.map(|record| record.account.clone()).unwrap_or_default();
     let orphans = before.map_or(&[][..], |record| &record.orphans);
     let mut flight = FlightRun {
         run,
@@ -73,7 +80,9 @@ pub(crate) fn fly(
         mission,
         supervision: Supervision::start(commands, signals, orphans),
         record: Recordkeeper::new(run, files.folder().to_owned(), takeovers),
-        injector: Injector::new(run, &config.vehicle.rig, &config.faults, from_s, intruder),
+        injector: Injector::new(run, &config.vehicle.rig, &config.faults, (from_s, account.faults), intruder),
+        deaths: account.deaths,
+        degradation: account.degradation,
         is_ready: false,
     };
     let mut display = Display::new(config.mission.goal());
@@ -88,6 +97,7 @@ pub(crate) fn fly(
 impl FlightRun<'_> {
     /// One round: what happened, what was heard, what is due.
     fn attend(&mut self, services: &Services, ports: &mut IpcPorts) {
+        let at_first = self.supervision.status();
         ports.refresh();
         self.mission.step(ports);
         ports.serve_late_subscribers();
@@ -101,8 +111,13 @@ impl FlightRun<'_> {
             self.tell(&happening, &before);
         }
         let children = self.supervision.status();
+        self.note_recoveries(&at_first, &children);
         self.mission.see_processes(&children);
-        self.record.keep(&self.mission, &self.supervision);
+        let is_urgent = self.injector.is_last_round();
+        let (injector, deaths) = (&self.injector, &self.deaths);
+        let degradation = || self.degradation.iter().chain(self.mission.recorder().degradation()).cloned().collect();
+        let account = || Account { faults: injector.summary(), deaths: deaths.clone(), degradation: degradation() };
+        self.record.keep(&self.mission, &self.supervision, account, is_urgent);
         self.injector.inject(&self.mission, &children);
         self.notify_systemd(&children);
         if ports.now().as_secs_f64() > 0.0 && self.mission.outcome().is_some() {
@@ -121,6 +136,7 @@ impl FlightRun<'_> {
                 eprintln!("sparrowhawk: {child} {how}: restarting it");
                 tracing::warn!(flight_s, child = child.name(), how, wait_ms = wait.as_millis() as u64, "died");
                 self.report(*child, how, before);
+                self.note_death(*child, how);
             }
             Happening::Ended(child, why) => {
                 tracing::warn!(flight_s, child = child.name(), why, "killed");
@@ -128,6 +144,7 @@ impl FlightRun<'_> {
             Happening::GaveUp(child, why) => {
                 eprintln!("sparrowhawk: {child} {why}: given up");
                 tracing::error!(flight_s, child = child.name(), why, "given up");
+                self.note_death(*child, why);
                 self.report(*child, why, before);
             }
             Happening::RunEnded(child, how) => {
@@ -139,6 +156,30 @@ impl FlightRun<'_> {
             Happening::Signal(number) => {
                 tracing::info!(flight_s, number, "signal");
                 self.mission.end(Outcome::Interrupted);
+            }
+        }
+    }
+
+    fn note_death(&mut self, process: ProcessId, how: &str) {
+        if self.deaths.len() < MOST_DEATHS {
+            self.deaths.push(DeathSummary {
+                at_s: self.mission.now().as_secs_f64(),
+                process: process.name().to_owned(),
+                how: how.to_owned(),
+                recovered_ms: None,
+            });
+        }
+    }
+
+    /// Deaths with the recoveries that ended them. Who died again before it had made anything recovered once.
+    fn note_recoveries(&mut self, before: &[ChildStatus], now: &[ChildStatus]) {
+        for (before, now) in before.iter().zip(now) {
+            let Some(&recovered_s) = now.recoveries_s.get(before.recoveries_s.len()) else { continue };
+            let name = now.process.name();
+            let mut unrecovered =
+                self.deaths.iter_mut().filter(|death| death.process == name && death.recovered_ms.is_none());
+            if let Some(death) = unrecovered.next_back() {
+                death.recovered_ms = Some(1e3 * recovered_s);
             }
         }
     }
@@ -172,6 +213,8 @@ impl FlightRun<'_> {
         summary.processes = children.iter().map(ProcessSummary::of).collect();
         summary.restarts = children.iter().map(|child| child.restarts).sum();
         summary.takeovers = self.record.takeovers();
+        summary.degradation.splice(0..0, std::mem::take(&mut self.degradation));
+        summary.deaths = std::mem::take(&mut self.deaths);
         summary.faults = self.injector.summary();
         summary.processes.push(ProcessSummary::supervisor());
         summary

@@ -24,16 +24,26 @@ pub(crate) struct Injector {
     due: VecDeque<Fault>,
     /// Those that came: the account, and where flight time and the time lost by the world stood.
     injected: Vec<(FaultSummary, f64, f64)>,
+    /// What former supervisors injected.
+    former: Vec<FaultSummary>,
     /// What tries to join: command and process.
     intruder: Vec<String>,
     intruders: Vec<Child>,
+    /// Whether this process is to be killed in the next round.
+    is_last_round: bool,
     /// Shared memory that is held full until then.
     ballast: Option<(stall::Ballast, HostTime)>,
 }
 
 impl Injector {
     /// For the faults that come after `from_s`; `intruder` is the command line of a process of the run.
-    pub(crate) fn new(run: &RunDir, rig: &StereoRig, faults: &[Fault], from_s: f64, intruder: Vec<String>) -> Self {
+    pub(crate) fn new(
+        run: &RunDir,
+        rig: &StereoRig,
+        faults: &[Fault],
+        (from_s, former): (f64, Vec<FaultSummary>),
+        intruder: Vec<String>,
+    ) -> Self {
         let mut due: Vec<_> = faults.iter().filter(|fault| fault.at_s > from_s).cloned().collect();
         due.sort_by(|a, b| a.at_s.total_cmp(&b.at_s));
         Self {
@@ -41,14 +51,19 @@ impl Injector {
             rig: *rig,
             due: due.into(),
             injected: Vec::new(),
+            former,
             intruder,
             intruders: Vec::new(),
+            is_last_round: false,
             ballast: None,
         }
     }
 
     /// Brings about what is due.
     pub(crate) fn inject(&mut self, mission: &Mission, children: &[ChildStatus]) {
+        if self.is_last_round {
+            signal(ProcessId::Supervisor, children, Signal::KILL);
+        }
         let now_s = mission.now().as_secs_f64();
         let lost_s = lost_s(mission);
         for (summary, from_s, lost_before_s) in &mut self.injected {
@@ -77,6 +92,8 @@ impl Injector {
 
     fn bring_about(&mut self, fault: &Fault, children: &[ChildStatus]) {
         match &fault.fault {
+            // Not before it is on record.
+            FaultKind::Kill { process: ProcessId::Supervisor } => self.is_last_round = true,
             FaultKind::Kill { process } => signal(*process, children, Signal::KILL),
             FaultKind::Stop { process } => signal(*process, children, Signal::STOP),
             FaultKind::FillMemory { for_s } => match stall::Ballast::fill() {
@@ -110,9 +127,14 @@ impl Injector {
         }
     }
 
+    /// Whether this process is about to be killed.
+    pub(crate) fn is_last_round(&self) -> bool {
+        self.is_last_round
+    }
+
     /// The account.
     pub(crate) fn summary(&self) -> Vec<FaultSummary> {
-        self.injected.iter().map(|(summary, ..)| summary.clone()).collect()
+        self.former.iter().chain(self.injected.iter().map(|(summary, ..)| summary)).cloned().collect()
     }
 }
 

@@ -7,7 +7,9 @@ use runtime::run_dir::RunDir;
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 use std::path::PathBuf;
-use supervisor::{ChildStatus, LatencySummary, Mission, Orphan, Phase, Supervision, Usage};
+use supervisor::{
+    ChildStatus, DeathSummary, FaultSummary, LatencySummary, Mission, Orphan, Phase, RungSummary, Supervision, Usage,
+};
 
 /// A process as the record has it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -30,6 +32,14 @@ pub(crate) struct ProcessRecord {
     pub(crate) note: String,
 }
 
+/// What happened so far, for whoever takes over.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Account {
+    pub(crate) faults: Vec<FaultSummary>,
+    pub(crate) deaths: Vec<DeathSummary>,
+    pub(crate) degradation: Vec<RungSummary>,
+}
+
 /// See the module's documentation.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct RunRecord {
@@ -47,6 +57,8 @@ pub(crate) struct RunRecord {
     pub(crate) reason: String,
     pub(crate) mode: String,
     pub(crate) orphans: Vec<Orphan>,
+    /// The account so far: what was injected, who died, where the flight stood.
+    pub(crate) account: Account,
     pub(crate) processes: Vec<ProcessRecord>,
 }
 
@@ -113,8 +125,14 @@ impl Recordkeeper {
         *self.counted.entry(producer).or_default() += 1;
     }
 
-    /// Writes a record if one is due.
-    pub(crate) fn keep(&mut self, mission: &Mission, supervision: &Supervision) {
+    /// Writes a record if one is due, or `is_urgent`.
+    pub(crate) fn keep(
+        &mut self,
+        mission: &Mission,
+        supervision: &Supervision,
+        account: impl FnOnce() -> Account,
+        is_urgent: bool,
+    ) {
         let now = host_now();
         let since_s = now.seconds_since(self.counting_since);
         if since_s >= RATE_S {
@@ -122,7 +140,7 @@ impl Recordkeeper {
             self.counting_since = now;
         }
         let orphans = supervision.orphans();
-        if orphans == self.orphans && now.seconds_since(self.written) < INTERVAL_S {
+        if !is_urgent && orphans == self.orphans && now.seconds_since(self.written) < INTERVAL_S {
             return;
         }
         (self.orphans, self.written) = (orphans, now);
@@ -139,6 +157,7 @@ impl Recordkeeper {
             reason: mission.rung().reason.clone(),
             mode: mission.plan_mode().to_string(),
             orphans: self.orphans.clone(),
+            account: account(),
             processes: supervision.status().iter().map(process).collect(),
         };
         let written =

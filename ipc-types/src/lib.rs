@@ -13,6 +13,7 @@
 
 pub mod bounds;
 pub mod disparity;
+pub mod estates;
 pub mod frames;
 pub mod limits;
 pub mod messages;

@@ -1,10 +1,13 @@
 //! The controller process: trajectory and state in, velocity setpoints out.
 
 use crate::{Config, Reference, Tracker};
+use bytemuck::Zeroable;
+use ipc_types::estates::ControllerEstate;
 use ipc_types::limits::Fence;
-use ipc_types::messages::{PlanMode, SetpointMode, VehicleState};
+use ipc_types::messages::{PlanMode, SetpointMode, Trajectory, TrajectoryPoint, VehicleState};
 use ipc_types::topics::{Plan, Setpoints, State};
-use ipc_types::{FlightTime, ProcessId};
+use ipc_types::{FlightTime, Point, ProcessId, Vector};
+use runtime::estate::{inherit, leave};
 use runtime::{Connect, Message, Ports, Process, Report};
 use std::time::Duration;
 
@@ -14,10 +17,17 @@ pub struct ControllerProcess {
     tracker: Tracker,
     state: Option<VehicleState>,
     reference: Option<Reference>,
+    /// Header of the reference, as it was received.
+    trajectory: Trajectory,
     interval: Duration,
     next: FlightTime,
+    started: bool,
+    estate: Vec<u16>,
     report: Report,
 }
+
+/// An estate that is older than this is not gone on from, s: the vehicle has been braked meanwhile.
+const LAPSES_S: f64 = 1.0;
 
 impl ControllerProcess {
     /// With gains and limits.
@@ -26,6 +36,9 @@ impl ControllerProcess {
             tracker: Tracker::new(config, fence),
             state: None,
             reference: None,
+            trajectory: Trajectory::zeroed(),
+            started: false,
+            estate: Vec::new(),
             interval: Duration::from_secs_f64(1.0 / config.rate_hz),
             next: FlightTime::ZERO,
             report: Report::waiting("waiting for a trajectory"),
@@ -37,28 +50,66 @@ impl ControllerProcess {
             self.state = Some(*state.header());
         }
         if let Some(plan) = ports.latest::<Plan>() {
-            let (header, points) = (plan.header(), plan.elements());
-            let ordered = points.windows(2).all(|pair| pair[0].t_s < pair[1].t_s);
-            let finite = points.iter().all(|point| {
-                point
-                    .position_m
-                    .iter()
-                    .chain(&point.velocity_mps)
-                    .chain([&point.t_s, &point.yaw_rad])
-                    .all(|v| v.is_finite())
-            });
-            if ordered && finite {
-                self.reference = Some(Reference {
-                    start: FlightTime::from_nanos(header.stamp.valid_ns),
-                    published: FlightTime::from_nanos(header.stamp.published_ns),
-                    image: FlightTime::from_nanos(header.image_valid_ns),
-                    mode: PlanMode::from_wire(header.mode),
-                    points: points.to_vec(),
-                });
-            } else {
-                self.report.refuse("trajectory is out of order or not finite");
-            }
+            self.take_plan(plan.header(), plan.elements());
         }
+    }
+
+    fn take_plan(&mut self, header: &Trajectory, points: &[TrajectoryPoint]) {
+        let ordered = points.windows(2).all(|pair| pair[0].t_s < pair[1].t_s);
+        let finite = points.iter().all(|point| {
+            point
+                .position_m
+                .iter()
+                .chain(&point.velocity_mps)
+                .chain([&point.t_s, &point.yaw_rad])
+                .all(|v| v.is_finite())
+        });
+        if ordered && finite {
+            self.reference = Some(Reference {
+                start: FlightTime::from_nanos(header.stamp.valid_ns),
+                published: FlightTime::from_nanos(header.stamp.published_ns),
+                image: FlightTime::from_nanos(header.image_valid_ns),
+                mode: PlanMode::from_wire(header.mode),
+                points: points.to_vec(),
+            });
+            self.trajectory = *header;
+        } else {
+            self.report.refuse("trajectory is out of order or not finite");
+        }
+    }
+
+    /// Takes up what a predecessor left, so that nothing jumps.
+    fn inherit(&mut self, ports: &mut impl Ports) {
+        let now = ports.now();
+        let Some((estate, points)) = inherit::<ControllerEstate, TrajectoryPoint>(ports.images(), Self::ID) else {
+            return;
+        };
+        let at = FlightTime::from_nanos(estate.commanded_ns);
+        let command = Vector::from_array(estate.command_mps);
+        let hover_at = (estate.hovers != 0).then(|| Point::from_array(estate.hover_m));
+        let is_sane = command.is_finite() && hover_at.is_none_or(Point::is_finite);
+        if !is_sane || !(0.0..=LAPSES_S).contains(&now.seconds_since(at)) {
+            return;
+        }
+        self.tracker.resume(command, at, hover_at);
+        if !points.is_empty() && self.reference.is_none() {
+            self.take_plan(&estate.trajectory, &points);
+        }
+    }
+
+    /// Leaves to a successor what it needs. Where that cannot be stored, a successor begins by braking.
+    fn leave(&mut self, ports: &mut impl Ports) {
+        let (command, at, hover_at) = self.tracker.last();
+        let Some(at) = at else { return };
+        let estate = ControllerEstate {
+            trajectory: self.trajectory,
+            commanded_ns: at.as_nanos(),
+            command_mps: command.to_array(),
+            hover_m: hover_at.unwrap_or(Point::ZERO).to_array(),
+            hovers: u64::from(hover_at.is_some()),
+        };
+        let points = self.reference.as_ref().map_or(&[][..], |reference| &reference.points);
+        let _ = leave(ports.images(), Self::ID, (&estate, points), &mut self.estate);
     }
 }
 
@@ -77,6 +128,9 @@ impl Process for ControllerProcess {
         if now < self.next || now == FlightTime::ZERO {
             return self.report.idle();
         }
+        if !std::mem::replace(&mut self.started, true) {
+            self.inherit(ports);
+        }
         // On the beat, unless one was missed altogether.
         let due = self.next + self.interval;
         self.next = if due > now { due } else { now + self.interval };
@@ -89,6 +143,7 @@ impl Process for ControllerProcess {
             setpoint.image_valid_ns = image.as_nanos();
             setpoint.mode = command.mode as u32;
         });
+        self.leave(ports);
         match command.mode {
             SetpointMode::Track => self.report.worked(),
             SetpointMode::Idle if has_landed => self.report.worked(),

@@ -51,6 +51,16 @@ impl Tracker {
         Self { config, fence, command: Vector::ZERO, commanded_at: None, hover_at: None }
     }
 
+    /// Goes on from what a predecessor asked for last: at which time, and which place it held.
+    pub(crate) fn resume(&mut self, command: Vector<World>, at: FlightTime, hover_at: Option<Point<World>>) {
+        (self.command, self.commanded_at, self.hover_at) = (command, Some(at), hover_at);
+    }
+
+    /// What was asked for last, when, and the place that is held.
+    pub(crate) fn last(&self) -> (Vector<World>, Option<FlightTime>, Option<Point<World>>) {
+        (self.command, self.commanded_at, self.hover_at)
+    }
+
     /// The command at `now`. `state` and `reference` are the newest received, fresh or not.
     ///
     /// While a pilot flies it says what it would ask for, from where the vehicle is and as fast as it moves, so that nothing

@@ -159,6 +159,20 @@ impl DisparityGraph {
         self.recent.clear();
     }
 
+    /// Does without the older half of the keyframes and of the recent frames, for want of room; calls `forget` with the id of
+    /// every image that is no longer a node. Returns whether there was any. The newest frame stays.
+    pub fn shed(&mut self, mut forget: impl FnMut(u64)) -> bool {
+        let before: Vec<u64> = self.nodes().map(|node| node.image_id).collect();
+        self.keyframes.truncate(self.keyframes.len() / 2);
+        self.recent.truncate(self.recent.len() / 2);
+        for id in &before {
+            if self.nodes().all(|node| node.image_id != *id) {
+                forget(*id);
+            }
+        }
+        before.len() > self.nodes().count()
+    }
+
     /// The keyframe to do without, never the newest one.
     fn least_useful(&self) -> usize {
         let oldest = self.keyframes.len() - 1;
@@ -267,6 +281,23 @@ mod tests {
             assert_eq!(graph.nodes().next().expect("a node").image_id, frame.image_id, "the newest is a node");
         }
         (graph.nodes().map(|node| node.image_id).collect(), forgotten)
+    }
+
+    #[test]
+    fn for_want_of_room_it_sheds_its_older_half_down_to_the_newest_frame() {
+        let mut graph = DisparityGraph::new(GraphRule { keyframes: 9, ..RULE }, 1.0);
+        for number in 1..=20 {
+            graph.insert(frame(number, 1.5 * number as f64, 0.0), |_| {});
+        }
+        let mut sizes = vec![graph.nodes().count()];
+        let mut forgotten = Vec::new();
+        while graph.shed(|id| forgotten.push(id)) {
+            sizes.push(graph.nodes().count());
+            assert!(graph.nodes().all(|node| !forgotten.contains(&node.image_id)));
+        }
+        assert!(sizes.windows(2).all(|pair| pair[1] < pair[0]), "{sizes:?}");
+        assert_eq!(graph.nodes().map(|node| node.image_id).collect::<Vec<_>>(), [20]);
+        assert_eq!(forgotten.len() + 1, sizes[0]);
     }
 
     #[test]

@@ -11,6 +11,7 @@
 mod along;
 mod batch;
 mod evidence;
+mod frozen;
 mod graph;
 mod inference;
 mod lanes;

@@ -4,16 +4,20 @@
 //! at most, the one that was being taken.
 
 use crate::Config;
+use crate::frozen::{Frozen, digest};
 use crate::graph::{DisparityGraph, GraphRule, Node};
-use crate::record::{self, LastState, RECORD_ID, describe};
+use crate::record::{self, LastState, describe};
 use ipc_types::messages::{ExpandedLayout, Keyframe, PathPoint};
 use ipc_types::pose_history::{PoseAt, PoseHistory};
 use ipc_types::rig::CameraMount;
 use ipc_types::topics::{Expanded, Keyframes, Path, State};
 use ipc_types::wire::Stamp;
 use ipc_types::{Body, FlightTime, Point, Pose, ProcessId, World};
+use runtime::images::ImageStore;
 use runtime::{Connect, Message, Ports, Process, Report};
 
+/// Where its record lies, as the image store takes it.
+const RECORD: u64 = ImageStore::estate(ProcessId::Memory);
 /// States remembered: a minute of them at 100 Hz, so that later corrections find the keyframes they concern.
 const STATES: usize = 6000;
 /// Between two states the vehicle moves no more than this, m and m/s, however long that is: else the estimate has jumped.
@@ -43,6 +47,11 @@ pub struct MemoryProcess {
     radius_m: f32,
     /// The newest image, whose exposure is still later than the newest state.
     pending: Option<(u64, FlightTime)>,
+    /// What identifies it, and whether the camera is frozen.
+    digest: u64,
+    /// Keyframes were given up for want of room.
+    is_shed: bool,
+    frozen: Frozen,
     path: Vec<Point<World>>,
     swept_radius_m: f64,
     started: bool,
@@ -100,6 +109,9 @@ impl MemoryProcess {
             layout,
             radius_m,
             pending: None,
+            digest: 0,
+            is_shed: false,
+            frozen: Frozen::default(),
             path: Vec::with_capacity(PATH_LENGTH),
             swept_radius_m: config.free_space.swept_radius_m,
             started: false,
@@ -115,7 +127,7 @@ impl MemoryProcess {
 
     /// Takes up what a predecessor held. Returns whether there was anything.
     fn restore(&mut self, ports: &mut impl Ports) -> bool {
-        let record = ports.images().get(RECORD_ID).and_then(|stored| record::read(&stored));
+        let record = ports.images().get(RECORD).and_then(|stored| record::read(&stored));
         if let Some(record) = record {
             let images = ports.images();
             let elements = self.layout.elements();
@@ -130,7 +142,7 @@ impl MemoryProcess {
             self.path.extend(record.path.into_iter().take(PATH_LENGTH));
             self.state = record.state;
         }
-        let held: Vec<u64> = self.graph.nodes().map(|node| node.image_id).chain([RECORD_ID]).collect();
+        let held: Vec<u64> = self.graph.nodes().map(|node| node.image_id).collect();
         ports.images().remove_unfinished();
         let ids = ports.images().ids();
         ids.into_iter().filter(|id| !held.contains(id)).for_each(|id| ports.images().remove(id));
@@ -248,10 +260,17 @@ impl MemoryProcess {
             self.lost.without_pose += 1;
         }
         match ports.images().put(id, image.elements()) {
-            Ok(()) => self.pending = Some((id, exposure)),
+            Ok(()) => {
+                self.pending = Some((id, exposure));
+                self.digest = digest(image.elements());
+            }
             Err(_) => {
                 self.lost.not_stored += 1;
                 self.report.refuse("cannot store a keyframe: shared memory is full");
+                // Rather a poor map of now than a rich one of then: the next one will find room, once whoever reads those
+                // that go has learned of it.
+                let forgotten = &mut self.forgotten;
+                self.is_shed |= self.graph.shed(|id| forgotten.push(id));
             }
         }
     }
@@ -266,6 +285,12 @@ impl MemoryProcess {
                 self.pending = None;
                 self.lost.without_pose += 1;
                 self.report.refuse("no state at the exposure of an image");
+                false
+            }
+            PoseAt::Known(world_from_body) if self.frozen.is_frozen(self.digest, world_from_body) => {
+                ports.images().remove(id);
+                self.pending = None;
+                self.report.refuse("the camera is frozen: the same image from elsewhere");
                 false
             }
             PoseAt::Known(world_from_body) => {
@@ -284,7 +309,7 @@ impl MemoryProcess {
         let valid = self.valid;
         // First of all, so that a successor knows what was published; what is no node any more goes last.
         record::write(&self.graph, &self.path, self.state, &mut self.record);
-        if ports.images().put(RECORD_ID, &self.record).is_err() {
+        if ports.images().put(RECORD, &self.record).is_err() {
             self.lost.not_stored += 1;
         }
         let nodes: Vec<Keyframe> = self.graph.nodes().map(describe).collect();
@@ -331,6 +356,7 @@ impl Process for MemoryProcess {
         // With the first state the flight's time is known, too.
         changed |= !self.states.is_empty() && std::mem::take(&mut self.is_restored);
         self.take_image(ports);
+        changed |= std::mem::take(&mut self.is_shed);
         changed |= self.place_image(ports);
         if !changed {
             return self.report.idle();

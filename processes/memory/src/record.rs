@@ -7,8 +7,6 @@ use crate::graph::{DisparityGraph, GraphRule, Node, Place};
 use ipc_types::messages::Keyframe;
 use ipc_types::{FlightTime, Point, World};
 
-/// Where it lies in the image store; no image has this exposure.
-pub(crate) const RECORD_ID: u64 = u64::MAX;
 /// Version of the record.
 const VERSION: u64 = 2;
 /// Whole numbers before the keyframes: version, and how many there are of each kind.

@@ -68,6 +68,11 @@ impl Deliberation {
         }
     }
 
+    /// Candidates of the library.
+    pub(crate) fn library_size(&self) -> usize {
+        self.library.size()
+    }
+
     /// The goal has changed.
     pub(crate) fn reset(&mut self) {
         self.guide.reset();

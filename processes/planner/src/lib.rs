@@ -18,6 +18,7 @@ mod choice;
 mod deliberation;
 mod draft;
 mod emergency;
+mod estate;
 mod field;
 #[cfg(test)]
 mod fixtures;

@@ -45,18 +45,20 @@ pub struct Planner {
     config: Config,
     fence: Fence,
     take_off: TakeOff,
-    airborne: bool,
+    pub(crate) airborne: bool,
     arrived: bool,
     /// Whether it sinks where it is to land.
     landing: bool,
-    goal: Option<(Point<World>, Task)>,
-    flying: Option<Flown>,
-    stuck: Stuck,
+    pub(crate) goal: Option<(Point<World>, Task)>,
+    pub(crate) flying: Option<Flown>,
+    pub(crate) stuck: Stuck,
     gaze: Gaze,
     deliberation: Deliberation,
-    replans: u64,
+    pub(crate) replans: u64,
     draft: Draft,
     spare: Rollout,
+    /// When a predecessor's plan was made, until this one's first.
+    pub(crate) inherited: Option<FlightTime>,
 }
 
 /// Distance to the goal at which it counts as reached, m. The rest is closed slowly, as far as it is free.
@@ -95,10 +97,16 @@ impl Planner {
             gaze: Gaze::new(),
             deliberation: Deliberation::new(&config, fence, cruise_mps),
             replans: 0,
+            inherited: None,
             draft: Draft::new(),
             spare: Rollout::new(),
             config,
         }
+    }
+
+    /// Candidates of the library.
+    pub(crate) fn library_size(&self) -> usize {
+        self.deliberation.library_size()
     }
 
     /// Plans chosen anew rather than continued, so far.
@@ -134,6 +142,7 @@ impl Planner {
     /// Plans from a situation and a map.
     pub fn step(&mut self, situation: &Situation, view: &View) -> Plan {
         let start = situation.now + std::time::Duration::from_secs_f64(self.config.lead_s);
+        self.lapse(situation.now);
         self.take_goal(situation);
         // Where the vehicle will be when the plan takes effect.
         let ahead_s = start.seconds_since(situation.state_valid).clamp(0.0, 0.5);

@@ -1,11 +1,13 @@
 //! The planner process: keyframes, flown path, state and goal in, trajectory out.
 
 use crate::{Config, Planner, Situation, TakeOff};
+use ipc_types::estates::{EstatePlace, PlannerEstate};
 use ipc_types::limits::Fence;
 use ipc_types::messages::{Goal, Keyframe, PlanMode, Task, TrajectoryPoint, VehicleState};
 use ipc_types::topics::{Goals, Keyframes, Path, Plan, State};
 use ipc_types::{FlightTime, Point, ProcessId, World};
 use memory::{FreeSpace, FreeSpaceRule, MapModel, View};
+use runtime::estate::{inherit, leave};
 use runtime::images::StoredImage;
 use runtime::{Connect, Message, Ports, Process, Report};
 
@@ -21,6 +23,10 @@ pub struct PlannerProcess {
     images: Vec<(u64, StoredImage)>,
     /// Whether the keyframes are looked at. Flying blind shows what avoidance is worth.
     avoidance: bool,
+    started: bool,
+    /// What is left to a successor, and its bytes.
+    places: Vec<EstatePlace>,
+    estate: Vec<u16>,
     report: Report,
 }
 
@@ -42,6 +48,9 @@ impl PlannerProcess {
             state: None,
             images: Vec::new(),
             avoidance: true,
+            started: false,
+            places: Vec::new(),
+            estate: Vec::new(),
             report: Report::waiting("waiting for a map"),
         }
     }
@@ -98,6 +107,13 @@ impl PlannerProcess {
         is_complete
     }
 
+    /// Leaves to a successor what it needs. Where that cannot be stored, a successor begins anew.
+    fn leave(&mut self, ports: &mut impl Ports, situation: &Situation) {
+        let Some(goal) = self.goal else { return };
+        let estate = self.planner.estate(goal, situation.now, &mut self.places);
+        let _ = leave(ports.images(), Self::ID, (&estate, &self.places[..]), &mut self.estate);
+    }
+
     fn situation(&self, now: FlightTime, image_valid: FlightTime) -> Option<Situation> {
         let (state, goal) = (self.state.as_ref()?, self.goal.as_ref()?);
         let pose = state.world_from_body()?;
@@ -117,6 +133,11 @@ impl PlannerProcess {
     }
 }
 
+fn is_sane(goal: &Goal) -> bool {
+    Point::<World>::from_array(goal.position_m).is_finite()
+        && (f64::MIN_POSITIVE..=f64::MAX).contains(&goal.cruise_speed_mps)
+}
+
 impl Process for PlannerProcess {
     const ID: ProcessId = ProcessId::Planner;
 
@@ -129,14 +150,18 @@ impl Process for PlannerProcess {
     }
 
     fn step<P: Ports>(&mut self, ports: &mut P) -> Report {
+        if !std::mem::replace(&mut self.started, true)
+            && let Some((estate, places)) = inherit::<PlannerEstate, EstatePlace>(ports.images(), Self::ID)
+        {
+            self.goal = Some(estate.goal).filter(is_sane);
+            self.planner.inherit(&estate, &places);
+        }
         if let Some(state) = ports.latest::<State>() {
             self.state = Some(*state.header());
         }
         if let Some(goal) = ports.latest::<Goals>() {
             let goal = *goal.header();
-            let sane = Point::<World>::from_array(goal.position_m).is_finite()
-                && (f64::MIN_POSITIVE..=f64::MAX).contains(&goal.cruise_speed_mps);
-            if sane {
+            if is_sane(&goal) {
                 self.goal = Some(goal);
             } else {
                 self.report.refuse("goal is not finite, or its speed is not positive");
@@ -168,6 +193,7 @@ impl Process for PlannerProcess {
             out.lead_s = lead_s;
             points.copy_from_slice(planner.points());
         });
+        self.leave(ports, &situation);
         match holds {
             true => self.report.degraded("holding: nothing is admissible, or state or map is stale"),
             false => self.report.worked(),

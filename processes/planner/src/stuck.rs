@@ -93,6 +93,22 @@ impl Stuck {
         }
     }
 
+    /// Where the vehicle was stuck, and where it dwelt, for how long, s.
+    pub(crate) fn remembered(&self) -> (&[Point<World>], &[(Point<World>, f64)]) {
+        (&self.places, &self.dwelt)
+    }
+
+    /// Takes up what a predecessor remembered.
+    pub(crate) fn remember(&mut self, place: Point<World>, dwelt_s: f64) {
+        if dwelt_s > 0.0 {
+            if self.dwelt.len() < DWELT_PLACES {
+                self.dwelt.push((place, dwelt_s));
+            }
+        } else {
+            self.places.push(place);
+        }
+    }
+
     /// A new goal forgives everything, but what walled the vehicle in is no truer for it.
     pub(crate) fn reset(&mut self) {
         *self = Self { disregards_before: self.disregards_before, ..Self::new() };

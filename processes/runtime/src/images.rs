@@ -4,6 +4,7 @@
 //! run's shared-memory file system, written as `.tmp` and renamed, and are read where they lie. In lockstep the
 //! same store is a map in memory. A file that is torn, truncated or of another id is refused, never half used.
 
+use ipc_types::ProcessId;
 use memmap2::Mmap;
 use std::cell::RefCell;
 use std::collections::HashMap;
@@ -14,6 +15,8 @@ use std::rc::Rc;
 use std::sync::Arc;
 use xxhash_rust::xxh3::xxh3_64;
 
+/// From here on numbers name no images, but what processes leave to their successors.
+const FIRST_ESTATE: u64 = u64::MAX - 255;
 const MAGIC: u64 = u64::from_le_bytes(*b"SPHWKIM1");
 /// Bytes before the pixels; a multiple of a cache line, so that pixels stay aligned for SIMD.
 const HEADER: usize = 64;
@@ -55,6 +58,11 @@ pub enum ImageStore {
 }
 
 impl ImageStore {
+    /// Where a process leaves what its successor needs.
+    pub const fn estate(process: ProcessId) -> u64 {
+        FIRST_ESTATE + process as u64
+    }
+
     /// A store within one process.
     pub fn in_memory() -> Self {
         Self::Memory(Rc::default())
@@ -135,7 +143,7 @@ impl ImageStore {
         }
     }
 
-    /// Every id in the store, ascending.
+    /// Every image in the store, ascending: but what processes left to their successors.
     pub fn ids(&self) -> Vec<u64> {
         let mut ids: Vec<u64> = match self {
             Self::Memory(images) => images.borrow().keys().copied().collect(),
@@ -144,6 +152,7 @@ impl ImageStore {
                 entries.filter_map(|entry| entry.file_name().to_str()?.parse().ok()).collect()
             }
         };
+        ids.retain(|&id| id < FIRST_ESTATE);
         ids.sort_unstable();
         ids
     }

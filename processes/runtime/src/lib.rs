@@ -5,10 +5,12 @@
 //! * [`ipc`]: one operating-system process each, iceoryx2 shared memory, event wake-ups, heartbeats. What flies.
 //! * [`lockstep`]: all in one thread, fixed order, seeded, with modelled latency. Repeatable to the bit.
 //!
-//! Images that must outlive their writer lie in the [`images`] store. [`run_dir`] isolates runs from each other.
+//! Images that must outlive their writer lie in the [`images`] store, and so does
+//! what processes leave to their successors ([`estate`]). [`run_dir`] isolates runs from each other.
 //! [`video`] reads cameras. [`faults`] says what may be injected into a flight. [`thread_pool`] serves cores that divide their work.
 //! This crate refuses to know what the messages mean.
 
+pub mod estate;
 pub mod faults;
 pub mod images;
 pub mod ipc;

@@ -290,7 +290,8 @@ impl SimulatorProcess {
         let host_ns = self.host.as_nanos();
         let piloted = sticks(&self.setup.pilot, now).is_some();
         let landed = u32::from(!self.vehicle.airborne());
-        let reading_ns = now.as_nanos() + self.faults.clock_step_ns(now);
+        // Of this instant: the dynamics lag behind it by part of a step.
+        let reading_ns = ports.now().max(now).as_nanos() + self.faults.clock_step_ns(now);
         ports.publish::<Clock>(now, 0, |clock, _| {
             (clock.flight_ns, clock.host_ns, clock.rate) = (reading_ns, host_ns, 1.0);
         });

@@ -4,7 +4,7 @@
 //! |---|---|---|---|
 //! | full | everything works | cruise speed | |
 //! | single frame | memory cannot keep its keyframes, or has lost most of them | `single_frame_share` of the speed | keyframes kept for `recovered_s` |
-//! | slower | images reach the map more slowly than the camera delivers them, or a flight process died | speed by what still arrives, at least `slowest_share` | full rate for `recovered_s` |
+//! | slower | images reach the map more slowly than the camera delivers them, or a flight process died | the share of the images that arrive, at least `slowest_share`; `restarting_share` | full rate for `recovered_s` |
 //! | hover | a flight process has been away for `away_s`, or no map for so long | stay: brake and hover | all back for `recovered_s` |
 //! | hand back | a flight process was given up, and the vehicle is at rest | the run ends; without setpoints the flight control unit does what it is configured to | none |
 //!
@@ -22,6 +22,8 @@ use serde::{Deserialize, Serialize};
 pub struct LadderConfig {
     /// Share of the speed with a map of hardly more than the newest frame, 0.1..1.
     pub single_frame_share: f64,
+    /// Share of the speed while a flight process is being restarted, 0.1..1.
+    pub restarting_share: f64,
     /// Least share of the speed when images come slowly, 0.1..1.
     pub slowest_share: f64,
     /// A flight process or the map may be away for so long before the vehicle is told to stay, s, 0.1..10.
@@ -36,6 +38,7 @@ impl LadderConfig {
     /// Reports values out of range.
     pub fn check(&self, bounds: &mut Bounds) {
         bounds.range("single_frame_share", self.single_frame_share, 0.1..=1.0);
+        bounds.range("restarting_share", self.restarting_share, 0.1..=1.0);
         bounds.range("slowest_share", self.slowest_share, 0.1..=1.0);
         bounds.range("away_s", self.away_s, 0.1..=10.0);
         bounds.range("recovered_s", self.recovered_s, 0.1..=60.0);
@@ -131,8 +134,12 @@ impl Ladder {
         if seen.airborne && seen.map_age_s > config.away_s {
             return step(Rung::Hover, 0.0, format!("no map for {:.1} s", seen.map_age_s));
         }
-        let share = seen.arriving.clamp(config.slowest_share, 1.0);
-        let speed_share = if seen.lost_keyframes { share.min(config.single_frame_share) } else { share };
+        let limits = [
+            (seen.arriving < FULL_RATE, seen.arriving.max(config.slowest_share)),
+            (seen.away.is_some(), config.restarting_share),
+            (seen.lost_keyframes, config.single_frame_share),
+        ];
+        let speed_share = limits.iter().filter(|(holds, _)| *holds).map(|(_, share)| *share).fold(1.0, f64::min);
         if seen.arriving < FULL_RATE {
             return step(
                 Rung::Slower,
@@ -144,7 +151,7 @@ impl Ladder {
             return step(Rung::Slower, speed_share, format!("{process} is being restarted"));
         }
         if seen.lost_keyframes {
-            return step(Rung::SingleFrame, config.single_frame_share, "keyframes were lost".to_owned());
+            return step(Rung::SingleFrame, speed_share, "keyframes were lost".to_owned());
         }
         step(Rung::Full, 1.0, String::new())
     }
@@ -154,8 +161,14 @@ impl Ladder {
 mod tests {
     use super::*;
 
-    const CONFIG: LadderConfig =
-        LadderConfig { single_frame_share: 0.6, slowest_share: 0.3, away_s: 0.5, recovered_s: 1.0, hand_back_s: 2.0 };
+    const CONFIG: LadderConfig = LadderConfig {
+        single_frame_share: 0.6,
+        restarting_share: 0.8,
+        slowest_share: 0.3,
+        away_s: 0.5,
+        recovered_s: 1.0,
+        hand_back_s: 2.0,
+    };
     const WELL: Observed = Observed {
         away: None,
         given_up: None,
@@ -192,7 +205,7 @@ mod tests {
             (Rung::SingleFrame, 0.6, Observed { lost_keyframes: true, ..WELL }),
             (Rung::Slower, 0.5, Observed { arriving: 0.5, ..WELL }),
             (Rung::Slower, 0.3, Observed { arriving: 0.0, ..WELL }),
-            (Rung::Slower, 1.0, Observed { away: Some((ProcessId::Planner, t(4.9))), ..WELL }),
+            (Rung::Slower, 0.8, Observed { away: Some((ProcessId::Planner, t(4.9))), ..WELL }),
             (Rung::Hover, 0.0, Observed { map_age_s: 0.6, ..WELL }),
         ];
         for (rung, share, trouble) in cases {

@@ -23,5 +23,5 @@ pub use ladder::{Ladder, LadderConfig, Observed, Step};
 pub use mission::{ATTENTION, AtGoal, HomeConfig, Mission, MissionConfig, Outcome};
 pub use policy::{Action, Event, Phase, Policy};
 pub use rule::{Criticality, Rule, Strategy};
-pub use summary::{FaultSummary, LatencySummary, Losses, ProcessSummary, RungSummary, Summary};
+pub use summary::{DeathSummary, FaultSummary, LatencySummary, Losses, ProcessSummary, RungSummary, Summary};
 pub use supervision::{ChildCommand, ChildStatus, Happening, Orphan, SignalWatch, Supervision, SupervisionError};

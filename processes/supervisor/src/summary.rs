@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
 /// Everything worth knowing about a flight, units in the names.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Summary {
     /// How it ended.
     pub outcome: Outcome,
@@ -58,10 +58,12 @@ pub struct Summary {
     pub takeovers: u32,
     /// Where the flight stood on the degradation ladder, from when on, and why.
     pub degradation: Vec<RungSummary>,
+    /// Deaths of processes, in order.
+    pub deaths: Vec<DeathSummary>,
     /// Faults that were injected.
     pub faults: Vec<FaultSummary>,
     /// Hash of every message, in lockstep.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub log_hash: Option<String>,
 }
 
@@ -76,6 +78,19 @@ pub struct RungSummary {
     pub speed_share: f64,
     /// Why.
     pub reason: String,
+}
+
+/// The death of a process.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct DeathSummary {
+    /// Flight time at which it was reaped, s.
+    pub at_s: f64,
+    /// Its name.
+    pub process: String,
+    /// How it died, or why it was ended.
+    pub how: String,
+    /// From then to its successor's first output (the recorder's first heartbeat), ms.
+    pub recovered_ms: Option<f64>,
 }
 
 /// An injected fault.
@@ -118,7 +133,7 @@ impl LatencySummary {
 }
 
 /// Messages that a process could not use, over all its incarnations.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Losses {
     /// Refused: malformed, late or unusable, or shared memory was full.
     pub dropped: u64,
@@ -127,7 +142,7 @@ pub struct Losses {
 }
 
 /// A process at the end of the flight.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ProcessSummary {
     /// Name.
     pub name: String,
@@ -270,7 +285,9 @@ impl Recorder {
         let entry = self.publications.entry(stamp.valid_ns).or_default();
         entry[index] = Some(stamp.published_ns);
         let begun = if index == 0 { Some(stamp.valid_ns) } else { entry[index - 1] };
-        if let (Some(begun), Some(histogram)) = (begun, self.stages.get_mut(stage)) {
+        // A publisher that has not heard the flight's time yet has none.
+        let is_timed = |begun: &i64| stamp.published_ns > 0 && (index == 0 || *begun > 0);
+        if let (Some(begun), Some(histogram)) = (begun.filter(is_timed), self.stages.get_mut(stage)) {
             record(histogram, stamp.published_ns - begun);
         }
         while self.publications.len() > 32 {
@@ -330,6 +347,11 @@ impl Recorder {
         self.stages.get(name).map(LatencySummary::of_us).unwrap_or_default()
     }
 
+    /// Steps on the degradation ladder so far.
+    pub fn degradation(&self) -> &[RungSummary] {
+        &self.degradation
+    }
+
     /// Least clearance so far, m.
     pub fn min_clearance_m(&self) -> Option<f64> {
         self.min_clearance_m.is_finite().then_some(self.min_clearance_m)
@@ -371,6 +393,7 @@ impl Recorder {
             restarts: 0,
             takeovers: 0,
             degradation: self.degradation.clone(),
+            deaths: Vec::new(),
             faults: Vec::new(),
             log_hash: None,
         }

@@ -252,7 +252,9 @@ impl Supervision {
             let how = child.running.as_mut().and_then(Running::reap);
             if let Some((how, running)) = how.and_then(|how| Some((how, child.running.take()?))) {
                 self.groups.push(running.number());
-                (child.died_at, child.beat_at) = (Some(host_now()), None);
+                // Who dies again before it has made anything has been away since the first time.
+                child.died_at.get_or_insert(host_now());
+                child.beat_at = None;
                 ended.push((child.command.process, how));
             }
         }
