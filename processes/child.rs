@@ -6,6 +6,7 @@ use crate::graph;
 use crate::logging;
 use crate::replay_input::{self, DEFAULT_RATE_HZ};
 use crate::run_files::{CONFIG, LOG, VERSION};
+use crate::say::say;
 use clap::Args;
 use ipc_types::ProcessId;
 use recorder::RecorderProcess;
@@ -65,7 +66,7 @@ pub fn run(arguments: &ChildArguments) -> Result<(), Box<dyn Error>> {
     let _log = logging::begin(&arguments.run_dir, &arguments.run, process, incarnation)?;
     for refused in config.graph.resources(process).apply() {
         tracing::warn!(refused, "not permitted");
-        eprintln!("sparrowhawk: {process}: {refused}");
+        say(format_args!("{process}: {refused}"));
     }
     let options = DriveOptions {
         incarnation,

@@ -9,6 +9,7 @@ use crate::campaign_plot;
 use crate::config::FlightConfig;
 use crate::graph::Flight;
 use crate::run_files::VERSION;
+use crate::say::say;
 use crate::svg;
 use crate::trials::Trial;
 use crate::troubles::TroubleArguments;
@@ -162,7 +163,7 @@ impl EvaluateArguments {
         }
         let left_out = trials.iter().filter(|trial| !self.seeds.contains(&trial.number)).count();
         if left_out > 0 {
-            eprintln!("sparrowhawk: {left_out} of {} trials have numbers outside --seeds", trials.len());
+            say(format_args!("{left_out} of {} trials have numbers outside --seeds", trials.len()));
         }
         if todo.is_empty() {
             return Err(
@@ -226,7 +227,7 @@ pub(crate) fn evaluate(arguments: &EvaluateArguments) -> Result<ExitCode, Box<dy
     let cases: HashSet<String> = todo.iter().map(|flight| flight.case.key()).collect();
     let mut table = Table::open(&arguments.out)?;
     if table.torn_bytes > 0 {
-        eprintln!("sparrowhawk: {}: cut off an unfinished row", arguments.out.display());
+        say(format_args!("{}: cut off an unfinished row", arguments.out.display()));
     }
     for flight in std::mem::take(&mut todo) {
         if !table.has(&flight.case, &flight.made_by)? {
@@ -250,7 +251,7 @@ pub(crate) fn evaluate(arguments: &EvaluateArguments) -> Result<ExitCode, Box<dy
         println!("plot                   {}", path.display());
     }
     if rows.len() < cases.len() {
-        eprintln!("sparrowhawk: {} of {} flights flown; the same command goes on", rows.len(), cases.len());
+        say(format_args!("{} of {} flights flown; the same command goes on", rows.len(), cases.len()));
         return Ok(ExitCode::FAILURE);
     }
     Ok(ExitCode::SUCCESS)

@@ -8,6 +8,7 @@ use crate::inject::Injector;
 use crate::logging;
 use crate::run_files::RunFiles;
 use crate::run_record::{Account, Recordkeeper, RunRecord};
+use crate::say::say;
 use ipc_types::ProcessId;
 use runtime::ipc::{IpcPorts, Services};
 use runtime::run_dir::RunDir;
@@ -133,7 +134,7 @@ impl FlightRun<'_> {
                 tracing::info!(flight_s, child = child.name(), incarnation, "started");
             }
             Happening::Died(child, how, wait) => {
-                eprintln!("sparrowhawk: {child} {how}: restarting it");
+                say(format_args!("{child} {how}: restarting it"));
                 tracing::warn!(flight_s, child = child.name(), how, wait_ms = wait.as_millis() as u64, "died");
                 self.report(*child, how, before);
                 self.note_death(*child, how);
@@ -142,13 +143,13 @@ impl FlightRun<'_> {
                 tracing::warn!(flight_s, child = child.name(), why, "killed");
             }
             Happening::GaveUp(child, why) => {
-                eprintln!("sparrowhawk: {child} {why}: given up");
+                say(format_args!("{child} {why}: given up"));
                 tracing::error!(flight_s, child = child.name(), why, "given up");
                 self.note_death(*child, why);
                 self.report(*child, why, before);
             }
             Happening::RunEnded(child, how) => {
-                eprintln!("sparrowhawk: {child} {how}: the run is over");
+                say(format_args!("{child} {how}: the run is over"));
                 tracing::error!(flight_s, child = child.name(), how, "the run is over");
                 self.report(*child, how, before);
                 self.mission.end(Outcome::ProcessLost);
@@ -205,7 +206,7 @@ impl FlightRun<'_> {
 
     fn end(mut self, services: &Services) -> Summary {
         if self.mission.truth().is_none_or(|truth| truth.airborne == 0) {
-            eprintln!("sparrowhawk: never took off: {}", why_not_ready(&self.supervision.status()));
+            say(format_args!("never took off: {}", why_not_ready(&self.supervision.status())));
         }
         let _ = sd_notify::notify(&[NotifyState::Stopping]);
         let children = self.supervision.stop(services);

@@ -9,6 +9,7 @@ use crate::graph::Flight;
 use crate::numbers::parse_numbers;
 use crate::run_files::{CONFIG, RunFiles, VERSION, fresh_name};
 use crate::run_record::RunRecord;
+use crate::say::say;
 use crate::troubles::TroubleArguments;
 use clap::Args;
 use recorder::RecorderProcess;
@@ -146,7 +147,7 @@ fn take_over(
     let record = RunRecord::read(run)?;
     let config = FlightConfig::load_snapshot(&record.folder.join(CONFIG))?;
     let files = RunFiles::reopen(&record.folder, arguments.summary.as_deref());
-    eprintln!("sparrowhawk: taking over run \"{}\", whose supervisor {} has died", run.name(), record.supervisor);
+    say(format_args!("taking over run \"{}\", whose supervisor {} has died", run.name(), record.supervisor));
     let summary = flight_run::fly(&config, run, &files, signals, Some(&record))?;
     conclude(lock, &files, &summary)
 }

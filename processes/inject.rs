@@ -1,6 +1,7 @@
 //! The part of a flight's faults that is brought about from outside of its processes: signals, intruders, full memory. The
 //! rest is brought about by the processes themselves, which are told by the run's configuration.
 
+use crate::say::say;
 use ipc_types::{HostTime, ProcessId, StereoRig};
 use runtime::faults::{Fault, FaultKind};
 use runtime::host_now;
@@ -98,7 +99,7 @@ impl Injector {
             FaultKind::Stop { process } => signal(*process, children, Signal::STOP),
             FaultKind::FillMemory { for_s } => match stall::Ballast::fill() {
                 Ok(ballast) => self.ballast = Some((ballast, host_now() + Duration::from_secs_f64(*for_s))),
-                Err(why) => eprintln!("sparrowhawk: {fault}: {why}"),
+                Err(why) => say(format_args!("{fault}: {why}")),
             },
             FaultKind::StallReader { topic, for_s } => {
                 let (run, rig, topic) = (self.run.clone(), self.rig, topic.clone());
@@ -106,7 +107,7 @@ impl Injector {
                 // It ends by itself, and is nobody's to wait for.
                 std::thread::spawn(move || {
                     if let Err(why) = hold_messages(&run, &rig, &topic, time) {
-                        eprintln!("sparrowhawk: cannot stall a reader of {topic}: {why}");
+                        say(format_args!("cannot stall a reader of {topic}: {why}"));
                     }
                 });
             }
@@ -123,7 +124,7 @@ impl Injector {
         command.args(arguments).args(["--incarnation", "999", "--schema-salt", "1"]);
         match command.stdin(Stdio::null()).stdout(Stdio::null()).spawn() {
             Ok(child) => self.intruders.push(child),
-            Err(why) => eprintln!("sparrowhawk: cannot start a process of another version: {why}"),
+            Err(why) => say(format_args!("cannot start a process of another version: {why}")),
         }
     }
 

@@ -47,6 +47,7 @@ mod replay_input;
 mod replay_report;
 mod run_files;
 mod run_record;
+pub mod say;
 mod soak;
 mod status;
 mod stereo;

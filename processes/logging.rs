@@ -22,6 +22,8 @@ pub(crate) fn begin(folder: &Path, run: &str, process: ProcessId, incarnation: u
         .flatten_event(true)
         .with_target(false)
         .with_span_list(false)
+        // It would complain on standard error, which may be on the same full disk.
+        .log_internal_errors(false)
         .with_writer(Mutex::new(LineWriter::new(file)))
         .finish();
     // Another flight of this very process has begun one already: a test's, say.

@@ -6,7 +6,7 @@ fn main() -> ExitCode {
     match sparrowhawk::cli::run() {
         Ok(code) => code,
         Err(error) => {
-            eprintln!("sparrowhawk: {error}");
+            sparrowhawk::say::say(format_args!("{error}"));
             ExitCode::from(2)
         }
     }

@@ -7,6 +7,7 @@ use crate::graph_config::Member;
 use crate::replay_input::{Input, InputArguments};
 use crate::replay_report::{FrameFigures, print, summarise, write_images};
 use crate::run_files::{RunFiles, fresh_name};
+use crate::say::say;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use ipc_types::disparity::is_valid;
@@ -199,10 +200,8 @@ fn digest(
                 }
                 Happening::Signal(_) => return Err("interrupted".into()),
                 Happening::RunEnded(process, how) => return Err(format!("{process} {how}").into()),
-                Happening::Died(process, how, _) => eprintln!("sparrowhawk: {process} {how}: restarting it"),
-                Happening::GaveUp(ProcessId::Recorder, how) => {
-                    eprintln!("sparrowhawk: recorder {how}: going on without")
-                }
+                Happening::Died(process, how, _) => say(format_args!("{process} {how}: restarting it")),
+                Happening::GaveUp(ProcessId::Recorder, how) => say(format_args!("recorder {how}: going on without")),
                 Happening::GaveUp(process, how) => return Err(format!("{process} {how}: given up").into()),
                 Happening::Started(..) | Happening::Ended(..) => {}
             }

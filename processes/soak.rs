@@ -4,6 +4,7 @@
 use crate::fault_file::FaultFile;
 use crate::fault_plan::{FaultPlan, draw};
 use crate::run_record::RunRecord;
+use crate::say::say;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use plotters::prelude::*;
@@ -129,7 +130,7 @@ impl Flight {
         let file = FaultFile { faults: draw(soak.plan, soak.seed + number, soak.every, 60.0 * soak.minutes) };
         let written = fs::create_dir_all(&soak.folder).and_then(|()| fs::write(&faults, file.to_ron()));
         if let Err(error) = written {
-            eprintln!("sparrowhawk: {}: {error}", faults.display());
+            say(format_args!("{}: {error}", faults.display()));
         }
         Self { name, folder: soak.folder.clone(), arguments, faults }
     }

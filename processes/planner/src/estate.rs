@@ -7,7 +7,7 @@ use crate::rollout::Turn;
 use bytemuck::Zeroable;
 use ipc_types::estates::{EstatePlace, PlannerEstate};
 use ipc_types::messages::{Goal, Task};
-use ipc_types::{FlightTime, Point, Vector};
+use ipc_types::{FlightTime, Point, Vector, World};
 
 /// A plan that is older than this by now is not gone on with, s: it was stopped meanwhile.
 const LAPSES_S: f64 = 1.0;
@@ -31,12 +31,9 @@ impl Planner {
                 (estate.first_mps, estate.then_mps) = (turn.first.to_array(), turn.then.to_array());
             }
         }
-        let (stuck, dwelt) = self.stuck.remembered();
         places.clear();
-        places.extend(stuck.iter().map(|place| EstatePlace { position_m: place.to_array(), dwelt_s: 0.0 }));
-        places.extend(
-            dwelt.iter().map(|(place, dwelt_s)| EstatePlace { position_m: place.to_array(), dwelt_s: *dwelt_s }),
-        );
+        let place = |(place, dwelt_s): (Point<World>, f64)| EstatePlace { position_m: place.to_array(), dwelt_s };
+        places.extend(self.stuck.remembered().map(place));
         estate
     }
 

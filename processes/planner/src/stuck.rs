@@ -93,9 +93,9 @@ impl Stuck {
         }
     }
 
-    /// Where the vehicle was stuck, and where it dwelt, for how long, s.
-    pub(crate) fn remembered(&self) -> (&[Point<World>], &[(Point<World>, f64)]) {
-        (&self.places, &self.dwelt)
+    /// Where the vehicle was stuck, for 0 s, and where it dwelt, for how long, s.
+    pub(crate) fn remembered(&self) -> impl Iterator<Item = (Point<World>, f64)> {
+        self.places.iter().map(|&place| (place, 0.0)).chain(self.dwelt.iter().copied())
     }
 
     /// Takes up what a predecessor remembered.

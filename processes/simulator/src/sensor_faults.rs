@@ -87,13 +87,13 @@ impl SensorFaults {
     /// What the camera delivers at an exposure.
     pub(crate) fn sight(&self, exposure: FlightTime) -> Sight {
         let now_s = exposure.as_secs_f64();
-        let sights = self.faults.iter().filter(|fault| fault.is_on(now_s)).map(|fault| match fault.fault {
+        let mut sights = self.faults.iter().filter(|fault| fault.is_on(now_s)).map(|fault| match fault.fault {
             FaultKind::FreezeCamera { .. } => Sight::Frozen,
             FaultKind::BlankCamera { .. } => Sight::Blank,
             FaultKind::Noise { grey, .. } => Sight::Noisy(grey),
             _ => Sight::Sound,
         });
-        sights.filter(|sight| *sight != Sight::Sound).last().unwrap_or(Sight::Sound)
+        sights.rfind(|sight| *sight != Sight::Sound).unwrap_or(Sight::Sound)
     }
 
     /// How far off the position estimate is.

@@ -244,7 +244,7 @@ mod tests {
     #[test]
     fn flickering_triggers_do_not_make_it_climb() {
         let mut ladder = Ladder::new(CONFIG);
-        let flicker = |now_s: f64| Observed { lost_keyframes: (now_s * 2.0) as u64 % 2 == 0, ..WELL };
+        let flicker = |now_s: f64| Observed { lost_keyframes: ((now_s * 2.0) as u64).is_multiple_of(2), ..WELL };
         assert_eq!(climb(&mut ladder, 0.0, 10.0, flicker), [(0.0, Rung::SingleFrame)]);
     }
 }

@@ -77,7 +77,7 @@ impl Injection {
                 // Its default is to end the process; a disk that is full does not.
                 let _ = signal_hook::flag::register(signal_hook::consts::SIGXFSZ, Arc::new(AtomicBool::new(false)));
                 // None: neither more descriptors than are open, nor a longer file. A limit that cannot be set leaves all as it was.
-                if setrlimit(resource, Rlimit { current: Some(0), ..limit.clone() }).is_ok() {
+                if setrlimit(resource, Rlimit { current: Some(0), ..limit }).is_ok() {
                     self.limited = Some((resource, limit));
                 }
             }
