@@ -195,7 +195,7 @@ impl World {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 400, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { cases: 400, failure_persistence: None, ..ProptestConfig::default() })]
 
     /// Never two live incarnations, a bounded rate, no signal to the dead (all asserted inside), and in the end every process
     /// runs or was given up with the reason; then, told to stop, all end, however they resist.
