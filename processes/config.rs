@@ -85,7 +85,7 @@ pub struct FlightConfig {
 }
 
 /// The configuration files that ship, compiled in.
-const SHIPPED: [(&str, &str); 22] = [
+const SHIPPED: [(&str, &str); 23] = [
     ("default.ron", include_str!("../config/default.ron")),
     ("fast.ron", include_str!("../config/fast.ron")),
     ("forest_100.ron", include_str!("../config/forest_100.ron")),
@@ -108,6 +108,7 @@ const SHIPPED: [(&str, &str); 22] = [
     ("worlds/hedge.ron", include_str!("../config/worlds/hedge.ron")),
     ("graphs/droan.ron", include_str!("../config/graphs/droan.ron")),
     ("graphs/droan_640.ron", include_str!("../config/graphs/droan_640.ron")),
+    ("faults/example.ron", include_str!("../config/faults/example.ron")),
 ];
 
 /// The shipped file of a name that was asked for: `fast` is `fast.ron`.

@@ -62,6 +62,15 @@ mod tests {
     }
 
     #[test]
+    fn the_example_has_every_fault_that_needs_no_special_machine() {
+        let file = FaultFile::load(Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/config/faults/example.ron")));
+        let file = file.expect("sound");
+        let mut names: Vec<_> = file.faults.iter().map(|fault| fault.fault.name()).collect();
+        names.dedup();
+        assert_eq!(names.len(), 19);
+    }
+
+    #[test]
     fn what_is_wrong_is_said_with_its_place() {
         for (text, expected) in [
             ("(faults: [(at_s: 3.0, fault: kill(process: pilot))])", "faults.ron:1:44"),

@@ -26,12 +26,16 @@ pub(crate) struct FaultRow {
     pub(crate) min_clearance_m: Option<f64>,
     pub(crate) flight_time_s: f64,
     pub(crate) takeovers: u32,
+    pub(crate) restarts: u32,
     pub(crate) leaked: usize,
     pub(crate) version: String,
 }
 
 /// A consequence comes within this time, s.
 const CONSEQUENCE_S: f64 = 3.0;
+
+/// What a flight without faults has in their place.
+pub(crate) const NONE: &str = "none";
 
 /// The rows of a flight.
 pub(crate) fn rows(plan: &str, seed: u64, flown: &Flown, version: &str) -> Vec<FaultRow> {
@@ -57,11 +61,15 @@ pub(crate) fn rows(plan: &str, seed: u64, flown: &Flown, version: &str) -> Vec<F
             min_clearance_m: summary.min_clearance_m,
             flight_time_s: summary.flight_time_s,
             takeovers: summary.takeovers,
+            restarts: summary.restarts,
             leaked: flown.leaked,
             version: version.to_owned(),
         }
     };
-    summary.faults.iter().map(row).collect()
+    // A flight that ended before anything was injected counts, too.
+    let none = supervisor::FaultSummary { at_s: 0.0, fault: NONE.to_owned(), victim: String::new(), clock_ratio: None };
+    let none = summary.faults.is_empty().then_some(none);
+    summary.faults.iter().chain(&none).map(row).collect()
 }
 
 /// p50, p99 and longest; empty of nothing.
@@ -136,6 +144,7 @@ mod tests {
             min_clearance_m: Some(0.5 + seed as f64),
             flight_time_s: 30.0,
             takeovers: 0,
+            restarts: 0,
             leaked: 0,
             version: "1".to_owned(),
         }

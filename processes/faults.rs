@@ -3,7 +3,7 @@
 use crate::evaluate::parse_seeds;
 use crate::fault_flight::{FaultFlight, Verdict};
 use crate::fault_plan::{FaultPlan, draw};
-use crate::fault_table::{FaultRow, markdown, rows};
+use crate::fault_table::{FaultRow, NONE, markdown, rows};
 use crate::run_files::VERSION;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
@@ -89,7 +89,8 @@ pub(crate) fn faults(arguments: &FaultsArguments) -> Result<ExitCode, Box<dyn Er
     if let Some(path) = &arguments.table {
         fs::write(path, &text).map_err(|error| format!("{}: {error}", path.display()))?;
     }
-    let is_sound = !table.iter().any(|row| row.verdict == Verdict::Failed || row.leaked > 0);
+    let is_sound = !table.iter().any(|row| row.verdict == Verdict::Failed || row.leaked > 0)
+        && table.iter().any(|row| matches!(row.verdict, Verdict::Arrived | Verdict::Hovered));
     Ok(if is_sound { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
@@ -144,16 +145,22 @@ fn account(table: &[FaultRow]) -> String {
             table.iter().filter(|row| row.verdict == verdict).map(|row| (&row.plan, row.seed)).collect();
         of.len()
     };
+    let takeovers = table.iter().filter(|row| row.takeovers > 0);
+    let taken: HashSet<_> = takeovers.clone().map(|row| (&row.plan, row.seed)).collect();
+    let restarted: HashSet<_> = takeovers.filter(|row| row.restarts > 0).map(|row| (&row.plan, row.seed)).collect();
     let leaked: usize = table.iter().filter(|row| row.leaked > 0).map(|row| row.leaked).max().unwrap_or_default();
     format!(
-        "\n{} faults in {} flights: {} arrived, {} hovered, {} late, {} failed, {} void; most files and processes left behind by one: {leaked}\n",
-        table.len(),
+        "\n{} faults in {} flights: {} arrived, {} hovered, {} late, {} failed, {} void; most files and processes left behind by one: {leaked}; \
+         {} were taken over, in {} of which a process was restarted\n",
+        table.iter().filter(|row| row.fault != NONE).count(),
         flights.len(),
         of(Verdict::Arrived),
         of(Verdict::Hovered),
         of(Verdict::Late),
         of(Verdict::Failed),
         of(Verdict::Void),
+        taken.len(),
+        restarted.len(),
     )
 }
 

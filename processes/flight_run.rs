@@ -9,18 +9,21 @@ use crate::logging;
 use crate::run_files::RunFiles;
 use crate::run_record::{Account, Recordkeeper, RunRecord};
 use crate::say::say;
-use ipc_types::ProcessId;
+use ipc_types::{HostTime, ProcessId};
 use runtime::ipc::{IpcPorts, Services};
 use runtime::run_dir::RunDir;
-use runtime::{Ports, Process};
+use runtime::{Ports, Process, host_now};
 use sd_notify::NotifyState;
 use std::error::Error;
 use std::path::Path;
+use std::time::Duration;
 use supervisor::{
-    ATTENTION, ChildCommand, ChildStatus, DeathSummary, Happening, Mission, Outcome, Phase, ProcessSummary,
-    RungSummary, SignalWatch, Summary, Supervision,
+    ATTENTION, ChildCommand, ChildStatus, Criticality, DeathSummary, Happening, Mission, Outcome, Phase,
+    ProcessSummary, RungSummary, SignalWatch, Summary, Supervision,
 };
 
+/// Between two signs of life to systemd: well below the unit's WatchdogSec.
+const WATCHDOG_INTERVAL: Duration = Duration::from_millis(200);
 /// Deaths that are remembered.
 const MOST_DEATHS: usize = 10_000;
 
@@ -47,6 +50,7 @@ struct FlightRun<'a> {
     /// Under former supervisors.
     degradation: Vec<RungSummary>,
     is_ready: bool,
+    notified: HostTime,
 }
 
 /// Flies; `before` is the record of a supervisor that died, whose run is taken over.
@@ -63,7 +67,7 @@ pub(crate) fn fly(
     let _log = logging::begin(files.folder(), run.name(), ProcessId::Supervisor, takeovers)?;
     let services = Services::hold(run)?;
     let mut mission = Mission::new(config.mission.clone(), config.graph.ladder);
-    before.into_iter().for_each(|record| mission.resume(record.passed));
+    before.into_iter().for_each(|record| mission.resume(record.passed, record.step()));
     let mut ports = IpcPorts::open(run, ProcessId::Supervisor, takeovers, &config.vehicle.rig, |ports| {
         mission.connect(ports);
         ports.follow_flight_clock();
@@ -79,12 +83,13 @@ pub(crate) fn fly(
         run,
         folder: files.folder(),
         mission,
-        supervision: Supervision::start(commands, signals, orphans),
+        supervision: Supervision::start(commands, signals, (run, orphans)),
         record: Recordkeeper::new(run, files.folder().to_owned(), takeovers),
         injector: Injector::new(run, &config.vehicle.rig, &config.faults, (from_s, account.faults), intruder),
         deaths: account.deaths,
         degradation: account.degradation,
         is_ready: false,
+        notified: HostTime::ZERO,
     };
     let mut display = Display::new(config.mission.goal());
     while flight.mission.outcome().is_none() {
@@ -117,7 +122,7 @@ impl FlightRun<'_> {
         let is_urgent = self.injector.is_last_round();
         let (injector, deaths) = (&self.injector, &self.deaths);
         let degradation = || self.degradation.iter().chain(self.mission.recorder().degradation()).cloned().collect();
-        let account = || Account { faults: injector.summary(), deaths: deaths.clone(), degradation: degradation() };
+        let account = || Account { faults: injector.injected(), deaths: deaths.clone(), degradation: degradation() };
         self.record.keep(&self.mission, &self.supervision, account, is_urgent);
         self.injector.inject(&self.mission, &children);
         self.notify_systemd(&children);
@@ -196,12 +201,20 @@ impl FlightRun<'_> {
 
     /// Readiness once every process has been heard, and that this loop goes round.
     fn notify_systemd(&mut self, children: &[ChildStatus]) {
-        if !self.is_ready && children.iter().all(|child| child.phase == Phase::Running) {
+        let is_up = |child: &ChildStatus| {
+            let is_spared = child.criticality == Criticality::Spare && matches!(child.phase, Phase::GivenUp(_));
+            child.phase == Phase::Running || is_spared
+        };
+        if !self.is_ready && children.iter().all(is_up) {
             self.is_ready = true;
             // Without systemd there is nobody to tell.
             let _ = sd_notify::notify(&[NotifyState::Ready, NotifyState::Status("flying")]);
         }
-        let _ = sd_notify::notify(&[NotifyState::Watchdog]);
+        let now = host_now();
+        if now.saturating_since(self.notified) >= WATCHDOG_INTERVAL {
+            self.notified = now;
+            let _ = sd_notify::notify(&[NotifyState::Watchdog]);
+        }
     }
 
     fn end(mut self, services: &Services) -> Summary {

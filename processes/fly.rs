@@ -117,6 +117,9 @@ impl FlyArguments {
     }
 }
 
+/// Exit status when a run could not be taken over.
+const NOT_TAKEN_OVER: u8 = 3;
+
 /// Flies; the exit code says whether it arrived.
 pub(crate) fn fly(arguments: &FlyArguments) -> Result<ExitCode, Box<dyn Error>> {
     let config = arguments.configuration()?;
@@ -126,7 +129,11 @@ pub(crate) fn fly(arguments: &FlyArguments) -> Result<ExitCode, Box<dyn Error>> 
     if arguments.adopt
         && let Some(lock) = run.take_over()?
     {
-        return take_over(arguments, &run, lock, signals);
+        // Another exit status than that of a flight that is over: whoever restarts this is to try again.
+        return take_over(arguments, &run, lock, signals).or_else(|error| {
+            say(format_args!("cannot take over run \"{name}\", which flies on without a supervisor: {error}"));
+            Ok(ExitCode::from(NOT_TAKEN_OVER))
+        });
     }
     let lock = run.take()?;
     let files = RunFiles::create(&arguments.run_dir, &name, &config, arguments.summary.as_deref())?;
@@ -141,14 +148,16 @@ pub(crate) fn fly(arguments: &FlyArguments) -> Result<ExitCode, Box<dyn Error>> 
 fn take_over(
     arguments: &FlyArguments,
     run: &RunDir,
-    lock: RunLock,
+    mut lock: RunLock,
     signals: SignalWatch,
 ) -> Result<ExitCode, Box<dyn Error>> {
+    // Until the flight has ended nothing of it is swept, whatever goes wrong here.
     let record = RunRecord::read(run)?;
     let config = FlightConfig::load_snapshot(&record.folder.join(CONFIG))?;
     let files = RunFiles::reopen(&record.folder, arguments.summary.as_deref());
     say(format_args!("taking over run \"{}\", whose supervisor {} has died", run.name(), record.supervisor));
     let summary = flight_run::fly(&config, run, &files, signals, Some(&record))?;
+    lock.end();
     conclude(lock, &files, &summary)
 }
 

@@ -8,6 +8,7 @@ use runtime::host_now;
 use runtime::ipc::{hold_messages, stall};
 use runtime::run_dir::RunDir;
 use rustix::process::{Pid, Signal, kill_process};
+use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
@@ -16,6 +17,14 @@ use supervisor::{ChildStatus, FaultSummary, Mission};
 /// Flight time after a fault over which it is looked at whether the world has waited, s.
 const CLOCK_S: f64 = 1.0;
 
+/// A fault that came.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Injected {
+    summary: FaultSummary,
+    /// Host time that the world had lost by then, s.
+    lost_s: f64,
+}
+
 /// Injects the faults of a flight as their time comes, and keeps account of them.
 #[derive(Debug)]
 pub(crate) struct Injector {
@@ -23,10 +32,8 @@ pub(crate) struct Injector {
     rig: StereoRig,
     /// Those to come, in order of time.
     due: VecDeque<Fault>,
-    /// Those that came: the account, and where flight time and the time lost by the world stood.
-    injected: Vec<(FaultSummary, f64, f64)>,
-    /// What former supervisors injected.
-    former: Vec<FaultSummary>,
+    /// Those that came.
+    injected: Vec<Injected>,
     /// What tries to join: command and process.
     intruder: Vec<String>,
     intruders: Vec<Child>,
@@ -42,7 +49,7 @@ impl Injector {
         run: &RunDir,
         rig: &StereoRig,
         faults: &[Fault],
-        (from_s, former): (f64, Vec<FaultSummary>),
+        (from_s, injected): (f64, Vec<Injected>),
         intruder: Vec<String>,
     ) -> Self {
         let mut due: Vec<_> = faults.iter().filter(|fault| fault.at_s > from_s).cloned().collect();
@@ -51,8 +58,7 @@ impl Injector {
             run: run.clone(),
             rig: *rig,
             due: due.into(),
-            injected: Vec::new(),
-            former,
+            injected,
             intruder,
             intruders: Vec::new(),
             is_last_round: false,
@@ -67,9 +73,9 @@ impl Injector {
         }
         let now_s = mission.now().as_secs_f64();
         let lost_s = lost_s(mission);
-        for (summary, from_s, lost_before_s) in &mut self.injected {
-            let passed_s = now_s - *from_s;
-            if summary.clock_ratio.is_none() && passed_s >= CLOCK_S {
+        for Injected { summary, lost_s: lost_before_s } in &mut self.injected {
+            let passed_s = now_s - summary.at_s;
+            if summary.clock_ratio.is_none() && passed_s >= CLOCK_S && mission.truth().is_some() {
                 summary.clock_ratio = Some(passed_s / (passed_s + lost_s - *lost_before_s));
             }
         }
@@ -81,8 +87,10 @@ impl Injector {
                 victim: fault.fault.victim().to_owned(),
                 clock_ratio: None,
             };
-            self.injected.push((summary, now_s, lost_s));
-            self.bring_about(&fault, children);
+            // What could not be done was not injected.
+            if self.bring_about(&fault, children) {
+                self.injected.push(Injected { summary, lost_s });
+            }
         }
         if self.ballast.as_ref().is_some_and(|(_, until)| *until <= host_now()) {
             self.ballast = None;
@@ -91,15 +99,25 @@ impl Injector {
         self.intruders.retain_mut(|child| !matches!(child.try_wait(), Ok(Some(_))));
     }
 
-    fn bring_about(&mut self, fault: &Fault, children: &[ChildStatus]) {
+    /// Whether it was brought about.
+    fn bring_about(&mut self, fault: &Fault, children: &[ChildStatus]) -> bool {
         match &fault.fault {
             // Not before it is on record.
-            FaultKind::Kill { process: ProcessId::Supervisor } => self.is_last_round = true,
+            FaultKind::Kill { process: ProcessId::Supervisor } => {
+                self.is_last_round = true;
+                true
+            }
             FaultKind::Kill { process } => signal(*process, children, Signal::KILL),
             FaultKind::Stop { process } => signal(*process, children, Signal::STOP),
             FaultKind::FillMemory { for_s } => match stall::Ballast::fill() {
-                Ok(ballast) => self.ballast = Some((ballast, host_now() + Duration::from_secs_f64(*for_s))),
-                Err(why) => say(format_args!("{fault}: {why}")),
+                Ok(ballast) => {
+                    self.ballast = Some((ballast, host_now() + Duration::from_secs_f64(*for_s)));
+                    true
+                }
+                Err(why) => {
+                    say(format_args!("{fault}: {why}"));
+                    false
+                }
             },
             FaultKind::StallReader { topic, for_s } => {
                 let (run, rig, topic) = (self.run.clone(), self.rig, topic.clone());
@@ -110,21 +128,28 @@ impl Injector {
                         say(format_args!("cannot stall a reader of {topic}: {why}"));
                     }
                 });
+                true
             }
             FaultKind::OtherVersion => self.intrude(),
             // The processes and the simulator have it from the run's configuration.
-            _ => {}
+            _ => true,
         }
     }
 
     /// Has a process of another version try to join.
-    fn intrude(&mut self) {
-        let Some((program, arguments)) = self.intruder.split_first() else { return };
+    fn intrude(&mut self) -> bool {
+        let Some((program, arguments)) = self.intruder.split_first() else { return false };
         let mut command = Command::new(program);
         command.args(arguments).args(["--incarnation", "999", "--schema-salt", "1"]);
         match command.stdin(Stdio::null()).stdout(Stdio::null()).spawn() {
-            Ok(child) => self.intruders.push(child),
-            Err(why) => say(format_args!("cannot start a process of another version: {why}")),
+            Ok(child) => {
+                self.intruders.push(child);
+                true
+            }
+            Err(why) => {
+                say(format_args!("cannot start a process of another version: {why}"));
+                false
+            }
         }
     }
 
@@ -133,9 +158,14 @@ impl Injector {
         self.is_last_round
     }
 
+    /// The account, as a successor needs it.
+    pub(crate) fn injected(&self) -> Vec<Injected> {
+        self.injected.clone()
+    }
+
     /// The account.
     pub(crate) fn summary(&self) -> Vec<FaultSummary> {
-        self.former.iter().chain(self.injected.iter().map(|(summary, ..)| summary)).cloned().collect()
+        self.injected.iter().map(|injected| injected.summary.clone()).collect()
     }
 }
 
@@ -157,13 +187,13 @@ fn lost_s(mission: &Mission) -> f64 {
     })
 }
 
-fn signal(process: ProcessId, children: &[ChildStatus], signal: Signal) {
+/// Whether there was anyone to be signalled.
+fn signal(process: ProcessId, children: &[ChildStatus], signal: Signal) -> bool {
     let number = match process {
         ProcessId::Supervisor => Some(std::process::id()),
         _ => children.iter().find(|child| child.process == process).and_then(|child| child.pid),
     };
-    if let Some(pid) = number.and_then(|number| Pid::from_raw(number.cast_signed())) {
-        // What is just being restarted is not there to be harmed.
-        let _ = kill_process(pid, signal);
-    }
+    // What is just being restarted is not there to be harmed.
+    let pid = number.and_then(|number| Pid::from_raw(number.cast_signed()));
+    pid.is_some_and(|pid| kill_process(pid, signal).is_ok())
 }

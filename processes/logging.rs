@@ -1,22 +1,31 @@
 //! The run's log: what happened, one JSON object a line, with run, process and incarnation; flight time where there is one.
 //!
-//! Every process appends to the same file in the run directory. A line is written at once and whole, so lines of different
-//! processes do not mix. When the disk is full the flight goes on without.
+//! Every process appends to the same file in the run directory, by a thread of its own: no step waits for a disk. A line is
+//! written whole, so lines of different processes do not mix. When the disk is full, or so slow that thousands of lines wait,
+//! the flight goes on without them.
 
 use crate::run_files::EVENTS;
 use ipc_types::ProcessId;
 use std::fs::OpenOptions;
-use std::io::{self, LineWriter};
+use std::io;
 use std::path::Path;
-use std::sync::Mutex;
 use tracing::span::EnteredSpan;
+use tracing_appender::non_blocking::WorkerGuard;
+
+/// A log under way; ends, written out, when dropped.
+#[derive(Debug)]
+pub(crate) struct Log {
+    _span: EnteredSpan,
+    _worker: WorkerGuard,
+}
 
 /// Begins to log what this process does; what is returned is to be kept for as long as it does.
 ///
 /// # Errors
 /// The file cannot be opened.
-pub(crate) fn begin(folder: &Path, run: &str, process: ProcessId, incarnation: u32) -> io::Result<EnteredSpan> {
+pub(crate) fn begin(folder: &Path, run: &str, process: ProcessId, incarnation: u32) -> io::Result<Log> {
     let file = OpenOptions::new().create(true).append(true).open(folder.join(EVENTS))?;
+    let (writer, worker) = tracing_appender::non_blocking(file);
     let subscriber = tracing_subscriber::fmt()
         .json()
         .flatten_event(true)
@@ -24,9 +33,10 @@ pub(crate) fn begin(folder: &Path, run: &str, process: ProcessId, incarnation: u
         .with_span_list(false)
         // It would complain on standard error, which may be on the same full disk.
         .log_internal_errors(false)
-        .with_writer(Mutex::new(LineWriter::new(file)))
+        .with_writer(writer)
         .finish();
     // Another flight of this very process has begun one already: a test's, say.
     let _ = tracing::subscriber::set_global_default(subscriber);
-    Ok(tracing::info_span!("process", run, process = process.name(), incarnation).entered())
+    let span = tracing::info_span!("process", run, process = process.name(), incarnation).entered();
+    Ok(Log { _span: span, _worker: worker })
 }

@@ -180,7 +180,7 @@ fn digest(
         ports.reads::<Keyframes>();
         ports.reads::<HealthReports>();
     })?;
-    let mut supervision = Supervision::start(commands, signals, &[]);
+    let mut supervision = Supervision::start(commands, signals, (run, &[]));
     let mut gathered = Gathered::new(input);
     let (mut progress, mut is_interrupted) = (Instant::now(), false);
     let (products, view) = loop {

@@ -1,14 +1,15 @@
 //! The record of a run, in shared memory: what `status` shows, and what the next supervisor must know if this one dies.
 
-use ipc_types::HostTime;
-use ipc_types::messages::HealthLevel;
+use crate::inject::Injected;
+use ipc_types::messages::{HealthLevel, Rung};
+use ipc_types::{HostTime, ProcessId};
 use runtime::host_now;
 use runtime::run_dir::RunDir;
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 use std::path::PathBuf;
 use supervisor::{
-    ChildStatus, DeathSummary, FaultSummary, LatencySummary, Mission, Orphan, Phase, RungSummary, Supervision, Usage,
+    ChildStatus, DeathSummary, LatencySummary, Mission, Orphan, Phase, RungSummary, Step, Supervision, Usage,
 };
 
 /// A process as the record has it.
@@ -35,7 +36,7 @@ pub(crate) struct ProcessRecord {
 /// What happened so far, for whoever takes over.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Account {
-    pub(crate) faults: Vec<FaultSummary>,
+    pub(crate) faults: Vec<Injected>,
     pub(crate) deaths: Vec<DeathSummary>,
     pub(crate) degradation: Vec<RungSummary>,
 }
@@ -54,6 +55,7 @@ pub(crate) struct RunRecord {
     /// Waypoints passed.
     pub(crate) passed: usize,
     pub(crate) rung: String,
+    pub(crate) speed_share: f64,
     pub(crate) reason: String,
     pub(crate) mode: String,
     pub(crate) orphans: Vec<Orphan>,
@@ -71,6 +73,12 @@ impl RunRecord {
         let text = run.read_record().map_err(|error| format!("run \"{}\": no record: {error}", run.name()))?;
         serde_json::from_slice(&text)
             .map_err(|error| format!("run \"{}\": record of another version: {error}", run.name()))
+    }
+
+    /// Where the flight stood on the ladder.
+    pub(crate) fn step(&self) -> Step {
+        let rung = Rung::ALL.into_iter().find(|rung| rung.name() == self.rung).unwrap_or(Rung::Hover);
+        Step { rung, speed_share: self.speed_share, reason: self.reason.clone() }
     }
 
     /// Age of the record, s.
@@ -91,8 +99,12 @@ pub(crate) struct Recordkeeper {
     counting_since: HostTime,
     rates: HashMap<u32, f64>,
     orphans: Vec<Orphan>,
-    /// Whether the last record could not be written: shared memory is full.
-    pub(crate) failed: u64,
+    /// What the supervisor itself uses, when that was asked for, and its processor time then.
+    own: Option<Usage>,
+    own_at: HostTime,
+    own_ticks: u64,
+    /// Whether the last record could not be written.
+    has_failed: bool,
 }
 
 /// Host time between records, s.
@@ -112,7 +124,10 @@ impl Recordkeeper {
             counting_since: now,
             rates: HashMap::new(),
             orphans: Vec::new(),
-            failed: 0,
+            own: None,
+            own_at: HostTime::ZERO,
+            own_ticks: 0,
+            has_failed: false,
         }
     }
 
@@ -139,6 +154,10 @@ impl Recordkeeper {
             self.rates = self.counted.drain().map(|(producer, count)| (producer, count as f64 / since_s)).collect();
             self.counting_since = now;
         }
+        let sampled = now.saturating_since(self.own_at);
+        if sampled.as_secs_f64() >= RATE_S {
+            (self.own, self.own_at) = (Usage::own(&mut self.own_ticks, sampled), now);
+        }
         let orphans = supervision.orphans();
         if !is_urgent && orphans == self.orphans && now.seconds_since(self.written) < INTERVAL_S {
             return;
@@ -154,15 +173,41 @@ impl Recordkeeper {
             flight_s: mission.now().as_secs_f64(),
             passed: mission.passed(),
             rung: mission.rung().rung.name().to_owned(),
+            speed_share: mission.rung().speed_share,
             reason: mission.rung().reason.clone(),
             mode: mission.plan_mode().to_string(),
             orphans: self.orphans.clone(),
             account: account(),
-            processes: supervision.status().iter().map(process).collect(),
+            processes: supervision.status().iter().map(process).chain([self.supervisor()]).collect(),
         };
         let written =
             serde_json::to_vec(&record).map_err(std::io::Error::from).and_then(|json| self.run.write_record(&json));
-        self.failed += u64::from(written.is_err());
+        if let Err(error) = &written
+            && !self.has_failed
+        {
+            // The flight goes on; but whoever would take it over has an older record.
+            tracing::warn!(%error, "no record of the run");
+        }
+        self.has_failed = written.is_err();
+    }
+
+    /// The supervisor's own line.
+    fn supervisor(&self) -> ProcessRecord {
+        ProcessRecord {
+            process: ProcessId::Supervisor.name().to_owned(),
+            pid: Some(std::process::id()),
+            state: "running".to_owned(),
+            incarnation: self.takeovers,
+            restarts: self.takeovers,
+            beat_ns: Some(self.written.as_nanos()),
+            rate_hz: 0.0,
+            latency: LatencySummary::default(),
+            missed: 0,
+            refused: 0,
+            usage: self.own,
+            health: "ok".to_owned(),
+            note: String::new(),
+        }
     }
 
     fn process(&self, mission: &Mission, child: &ChildStatus) -> ProcessRecord {

@@ -256,10 +256,12 @@ fn report(samples: &[Sample], flights: &[Summary]) -> bool {
     let faults: usize = flights.iter().map(|flight| flight.faults.len()).sum();
     let deaths: usize = flights.iter().map(|flight| flight.deaths.len()).sum();
     let collisions = flights.iter().filter(|flight| flight.outcome == Outcome::Collided).count();
+    let lost =
+        flights.iter().filter(|flight| matches!(flight.outcome, Outcome::ProcessLost | Outcome::HandedBack)).count();
     let path_m: f64 = flights.iter().map(|flight| flight.path_length_m).sum();
     let lasted_s = samples.last().map_or(0.0, |sample| sample.at_s);
     println!(
-        "{lasted_s:.0} s in {} flight(s), {path_m:.0} m, {faults} faults, {deaths} deaths, {collisions} collision(s)",
+        "{lasted_s:.0} s in {} flight(s), {path_m:.0} m, {faults} faults, {deaths} deaths, {collisions} collision(s), {lost} lost",
         flights.len()
     );
     let quarter = samples.len() / 4;
@@ -270,7 +272,7 @@ fn report(samples: &[Sample], flights: &[Summary]) -> bool {
         println!("{name:<24} {early:8.1} in the second quarter, {late:8.1} in the last, {most:8.1} at most");
         is_flat &= late <= early * (1.0 + GROWTH) + 1.0;
     }
-    is_flat && collisions == 0
+    is_flat && collisions + lost == 0
 }
 
 /// Every series as a share of its own largest value, over time.

@@ -125,8 +125,13 @@ fn messages_sensors_and_machine_may_fail() {
     assert_eq!(flown.outcome(), "arrived");
     let said = String::from_utf8_lossy(&flown.output.stderr).into_owned();
     assert!(said.contains("IncompatibleAttributes"), "the other version is refused: {said}");
+    // Every fault had its effect, and was counted.
+    let losses = |process: &str, kind: &str| flown.summary["losses"][process][kind].as_u64().unwrap_or(0);
+    assert!(losses("planner", "missed") > 0, "lost keyframe sets: {}", flown.summary["losses"]);
+    assert!(losses("memory", "dropped") > 1, "doubled images, damaged states: {}", flown.summary["losses"]);
+    assert!(losses("recorder", "dropped") > 0, "what could not be written: {}", flown.summary["losses"]);
     let faulted: Vec<_> = events(&run).into_iter().filter(|line| line["message"] == "faulted").collect();
-    for expected in ["frozen", "cannot write the log"] {
+    for expected in ["frozen", "cannot write the log", "its file cannot be written"] {
         let is_said = |line: &Value| line["note"].as_str().is_some_and(|note| note.contains(expected));
         assert!(faulted.iter().any(is_said), "{expected}: {faulted:?}");
     }
@@ -191,6 +196,102 @@ fn status_shows_every_process_while_it_flies() {
     let over = run.command(&["status", "--run", &run.name]).output().expect("starts");
     assert!(!over.status.success());
     run.assert_nothing_left();
+}
+
+/// Waits until the run's log holds a message.
+fn wait_for_event(run: &Run, message: &str) {
+    let began = Instant::now();
+    let log = run.path("runs").join(&run.name).join("events.jsonl");
+    while !fs::read_to_string(&log).unwrap_or_default().contains(message) {
+        assert!(began.elapsed() < Duration::from_secs(60), "no \"{message}\" in {}", log.display());
+        std::thread::yield_now();
+    }
+}
+
+#[test]
+fn an_interrupt_while_one_hangs_and_another_restarts_ends_all() {
+    let _alone = real_time();
+    let run = Run::new("interrupted");
+    let faults = "(faults: [(at_s: 3.0, fault: hang(process: planner)), (at_s: 3.0, fault: kill(process: memory))])";
+    fs::write(run.path("faults.ron"), faults).expect("writable");
+    let flight = run.start(&["--faults", "faults.ron"]);
+    wait_for_event(&run, "kill of memory");
+    kill_process(Pid::from_raw(flight.id() as i32).expect("a process number"), Signal::INT).expect("sent");
+    let flown = run.flown(flight.wait_with_output().expect("ends"));
+    assert_eq!(flown.outcome(), "interrupted");
+    run.assert_nothing_left();
+}
+
+#[test]
+fn what_a_process_may_use_of_the_machine_is_asked_for_and_what_is_refused_is_said() {
+    let _alone = real_time();
+    let run = Run::new("resources");
+    let copied = std::process::Command::new("cp")
+        .args(["-r", concat!(env!("CARGO_MANIFEST_DIR"), "/config")])
+        .arg(run.path("config"))
+        .status();
+    assert!(copied.expect("starts").success());
+    let graph = run.path("config/graphs/droan.ron");
+    let text = fs::read_to_string(&graph).expect("readable");
+    let wanted = "(cpus: [0], realtime: 10, lock_memory: true, memory_mib: 2048)";
+    let text = text.replace("(cpus: [], realtime: 0, lock_memory: false, memory_mib: 0)", wanted);
+    fs::write(&graph, text).expect("writable");
+    let mut flight = run.start(&["--config", "config/default.ron", "--time-limit", "4"]);
+    wait_for_event(&run, "\"up\"");
+    let planner = run.wait_for_process("planner");
+    // Once it is up it has asked for all of it.
+    let began = Instant::now();
+    let is_up = |line: &Value| line["message"] == "up" && line["span"]["process"] == "planner";
+    while !events(&run).iter().any(is_up) {
+        assert!(began.elapsed() < Duration::from_secs(20));
+    }
+    let process = procfs::process::Process::new(planner as i32).expect("alive");
+    let (status, stat) = (process.status().expect("readable"), process.stat().expect("readable"));
+    assert_eq!(status.cpus_allowed_list.expect("known"), [(0, 0)]);
+    let refused: Vec<_> = events(&run).into_iter().filter(|line| line["message"] == "not permitted").collect();
+    let is_refused =
+        |what: &str| refused.iter().any(|line| line["refused"].as_str().is_some_and(|why| why.contains(what)));
+    assert!(stat.rt_priority == Some(10) || is_refused("real-time priority 10"), "{stat:?} {refused:?}");
+    let limit = process.limits().expect("readable").max_data_size.soft_limit;
+    assert!(matches!(limit, procfs::process::LimitValue::Value(2_147_483_648)), "{limit:?}");
+    flight.wait().expect("ends");
+    run.assert_nothing_left();
+}
+
+/// In a mount namespace with a small shared memory, which a fault fills: keyframes are given up, and given back.
+#[test]
+fn full_shared_memory_costs_keyframes_not_the_flight() {
+    let _alone = real_time();
+    let run = Run::new("full");
+    let fault = "(faults: [(at_s: 7.0, fault: fill_memory(for_s: 2.0))])";
+    fs::write(run.path("faults.ron"), fault).expect("writable");
+    let script = "mount -t tmpfs -o size=420m tmpfs /dev/shm && exec \"$@\"";
+    let mut command = std::process::Command::new("unshare");
+    command.args(["--user", "--map-root-user", "--mount", "--propagation", "private", "sh", "-c", script, "sh"]);
+    let fly = [
+        "fly",
+        "--faults",
+        "faults.ron",
+        "--seed",
+        "2",
+        "--speed",
+        "4",
+        "--summary",
+        "summary.json",
+        "--run",
+        &run.name,
+    ];
+    let output = command.arg(env!("CARGO_BIN_EXE_sparrowhawk")).args(fly).current_dir(run.folder.path()).output();
+    let Ok(output) = output else { return eprintln!("SKIPPED: no unshare") };
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    if !run.path("summary.json").exists() {
+        return eprintln!("SKIPPED: no mount namespace here: {said}");
+    }
+    let flown = run.flown(output);
+    println!("{}{said}", String::from_utf8_lossy(&flown.output.stdout));
+    assert_eq!(flown.outcome(), "arrived");
+    assert_eq!(flown.summary["faults"].as_array().map(Vec::len), Some(1), "{said}");
+    assert!(!rungs(&flown).is_empty(), "it was noticed");
 }
 
 #[test]

@@ -28,6 +28,8 @@ pub struct ControllerProcess {
 
 /// An estate that is older than this is not gone on from, s: the vehicle has been braked meanwhile.
 const LAPSES_S: f64 = 1.0;
+/// So long a flight control unit surely goes on with the last setpoint, s.
+const FOLLOWED_S: f64 = 0.2;
 
 impl ControllerProcess {
     /// With gains and limits.
@@ -88,10 +90,17 @@ impl ControllerProcess {
         let command = Vector::from_array(estate.command_mps);
         let hover_at = (estate.hovers != 0).then(|| Point::from_array(estate.hover_m));
         let is_sane = command.is_finite() && hover_at.is_none_or(Point::is_finite);
-        if !is_sane || !(0.0..=LAPSES_S).contains(&now.seconds_since(at)) {
+        let age_s = now.seconds_since(at);
+        if !is_sane || !(0.0..=LAPSES_S).contains(&age_s) {
             return;
         }
-        self.tracker.resume(command, at, hover_at);
+        // The flight control unit has followed the last command until it began to brake by itself: from then on only the
+        // state tells how fast the vehicle is.
+        let state = self.state.filter(|state| state.velocity().is_finite());
+        let command = if age_s <= FOLLOWED_S { Some(command) } else { state.map(|state| state.velocity()) };
+        if let Some(command) = command {
+            self.tracker.resume(command, now.max(at), hover_at);
+        }
         if !points.is_empty() && self.reference.is_none() {
             self.take_plan(&estate.trajectory, &points);
         }

@@ -3,7 +3,7 @@
 //! A frozen image that is given the pose of now says that what it showed from there is seen from here: the most dangerous
 //! of sensor faults. Two images of a moving camera are never equal to the bit.
 
-use ipc_types::{Body, Pose, World};
+use ipc_types::{Camera, Pose, World};
 use xxhash_rust::xxh3::xxh3_64;
 
 /// Moved by more than this, m, or turned by more, rad, a camera does not see the same.
@@ -12,16 +12,23 @@ const TURNED_RAD: f64 = 0.01;
 
 /// Remembers the last image.
 #[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Frozen(Option<(u64, Pose<World, Body>)>);
+pub(crate) struct Frozen(Option<(u64, Pose<World, Camera>)>);
 
-/// What identifies an image.
-pub(crate) fn digest(pixels: &[u16]) -> u64 {
-    xxh3_64(bytemuck::cast_slice(pixels))
+/// What identifies an image; nothing does one that shows the same everywhere, as fog and clear sky do.
+pub(crate) fn digest(pixels: &[u16]) -> Option<u64> {
+    let shows_something = pixels.windows(2).any(|pair| pair[0] != pair[1]);
+    shows_something.then(|| xxh3_64(bytemuck::cast_slice(pixels)))
 }
 
 impl Frozen {
+    /// Goes on from an image of a predecessor's.
+    pub(crate) fn since(digest: Option<u64>, pose: Pose<World, Camera>) -> Self {
+        Self(digest.map(|digest| (digest, pose)))
+    }
+
     /// Whether an image is that of before, though the vehicle is elsewhere now.
-    pub(crate) fn is_frozen(&mut self, digest: u64, pose: Pose<World, Body>) -> bool {
+    pub(crate) fn is_frozen(&mut self, digest: Option<u64>, pose: Pose<World, Camera>) -> bool {
+        let Some(digest) = digest else { return false };
         match self.0 {
             Some((before, from)) if before == digest => {
                 let moved_m = from.origin().distance(pose.origin());
@@ -40,7 +47,7 @@ mod tests {
     use super::*;
     use ipc_types::{Rotation, Vector};
 
-    fn pose(x_m: f64, yaw_rad: f64) -> Pose<World, Body> {
+    fn pose(x_m: f64, yaw_rad: f64) -> Pose<World, Camera> {
         let rotation = Rotation::from_roll_pitch_yaw(0.0, 0.0, yaw_rad);
         Pose { rotation, translation: Vector::new(x_m, 0.0, 0.0) }
     }
@@ -58,5 +65,9 @@ mod tests {
         assert!(frozen.is_frozen(one, pose(0.0, 0.5)), "turned");
         assert!(!frozen.is_frozen(two, pose(0.6, 0.0)));
         assert!(!frozen.is_frozen(one, pose(0.8, 0.0)));
+        let fog = digest(&[7, 7, 7]);
+        assert!(!frozen.is_frozen(fog, pose(0.8, 0.0)) && !frozen.is_frozen(fog, pose(1.8, 0.0)));
+        let mut heir = Frozen::since(one, pose(0.0, 0.0));
+        assert!(heir.is_frozen(one, pose(0.2, 0.0)), "a successor knows the last image, too");
     }
 }

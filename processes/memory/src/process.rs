@@ -15,6 +15,7 @@ use ipc_types::wire::Stamp;
 use ipc_types::{Body, FlightTime, Point, Pose, ProcessId, World};
 use runtime::images::ImageStore;
 use runtime::{Connect, Message, Ports, Process, Report};
+use std::io::ErrorKind;
 
 /// Where its record lies, as the image store takes it.
 const RECORD: u64 = ImageStore::estate(ProcessId::Memory);
@@ -48,7 +49,7 @@ pub struct MemoryProcess {
     /// The newest image, whose exposure is still later than the newest state.
     pending: Option<(u64, FlightTime)>,
     /// What identifies it, and whether the camera is frozen.
-    digest: u64,
+    digest: Option<u64>,
     /// Keyframes were given up for want of room.
     is_shed: bool,
     frozen: Frozen,
@@ -109,7 +110,7 @@ impl MemoryProcess {
             layout,
             radius_m,
             pending: None,
-            digest: 0,
+            digest: None,
             is_shed: false,
             frozen: Frozen::default(),
             path: Vec::with_capacity(PATH_LENGTH),
@@ -139,6 +140,11 @@ impl MemoryProcess {
             };
             let parts = (record.newest, &record.keyframes[..], &record.recent[..]);
             self.graph = DisparityGraph::restored(self.graph_rule, self.forget_s, parts, is_there);
+            // What a camera that is frozen by now shows again.
+            if let Some((newest, image)) = self.graph.newest().and_then(|node| Some((node, images.get(node.image_id)?)))
+            {
+                self.frozen = Frozen::since(digest(&image), newest.world_from_camera);
+            }
             self.path.extend(record.path.into_iter().take(PATH_LENGTH));
             self.state = record.state;
         }
@@ -258,11 +264,16 @@ impl MemoryProcess {
         if let Some((superseded, _)) = self.pending.take() {
             ports.images().remove(superseded);
             self.lost.without_pose += 1;
+            self.report.refuse("no state at the exposure of an image");
         }
         match ports.images().put(id, image.elements()) {
             Ok(()) => {
                 self.pending = Some((id, exposure));
                 self.digest = digest(image.elements());
+            }
+            Err(error) if error.kind() != ErrorKind::StorageFull => {
+                self.lost.not_stored += 1;
+                self.report.refuse("cannot store a keyframe: its file cannot be written");
             }
             Err(_) => {
                 self.lost.not_stored += 1;
@@ -287,7 +298,7 @@ impl MemoryProcess {
                 self.report.refuse("no state at the exposure of an image");
                 false
             }
-            PoseAt::Known(world_from_body) if self.frozen.is_frozen(self.digest, world_from_body) => {
+            PoseAt::Known(body) if self.frozen.is_frozen(self.digest, body * self.mount.body_from_camera()) => {
                 ports.images().remove(id);
                 self.pending = None;
                 self.report.refuse("the camera is frozen: the same image from elsewhere");

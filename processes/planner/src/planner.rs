@@ -155,8 +155,13 @@ impl Planner {
             self.brake(from, situation.yaw_rad);
             return plan(PlanMode::GivenUp);
         }
-        if situation.task == Task::Stay || situation.is_stale(&self.config) {
+        if situation.is_stale(&self.config) {
             self.brake(from, situation.yaw_rad);
+            return plan(PlanMode::Hold);
+        }
+        if situation.task == Task::Stay {
+            // Told to stop, it stops as the map says is best.
+            self.stop(from, situation.yaw_rad, view);
             return plan(PlanMode::Hold);
         }
         if situation.task == Task::Land
@@ -234,14 +239,19 @@ impl Planner {
             self.deliberation.reset();
             self.arrived = false;
         }
-        if is_new || situation.piloted || self.goal.is_none_or(|(_, task)| task != situation.task) {
+        // To stay for a while is nothing else to do there.
+        let task = match self.goal {
+            Some((_, before)) if situation.task == Task::Stay => before,
+            _ => situation.task,
+        };
+        if is_new || situation.piloted || self.goal.is_none_or(|(_, before)| before != task) {
             self.stuck.reset();
             self.gaze.reset();
             // The library's candidates are named relative to the goal, and the vehicle is not where they would have led.
             self.flying = None;
             self.landing = false;
         }
-        self.goal = Some((situation.goal, situation.task));
+        self.goal = Some((situation.goal, task));
     }
 
     /// On the ground where it is to land it stays there; a landing that has begun goes on, straight down above the goal, within

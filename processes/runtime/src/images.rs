@@ -85,7 +85,9 @@ impl ImageStore {
                 for (field, value) in [MAGIC, id, bytes.len() as u64, xxh3_64(bytes)].into_iter().enumerate() {
                     header[field * 8..field * 8 + 8].copy_from_slice(&value.to_le_bytes());
                 }
-                let temporary = folder.join(format!("{id}.tmp"));
+                // What others leave is theirs to finish.
+                let suffix = if id < FIRST_ESTATE { "tmp" } else { "new" };
+                let temporary = folder.join(format!("{id}.{suffix}"));
                 let mut file = fs::File::create(&temporary)?;
                 let written = file.write_all(&header).and_then(|()| file.write_all(bytes));
                 written.and_then(|()| fs::rename(&temporary, folder.join(id.to_string()))).inspect_err(|_| {
@@ -132,7 +134,7 @@ impl ImageStore {
         }
     }
 
-    /// Removes what a writer began and did not finish. Nobody else may be writing.
+    /// Removes images that a writer began and did not finish. Nobody else may be writing any.
     pub fn remove_unfinished(&mut self) {
         let Self::Folder(folder) = self else { return };
         for entry in fs::read_dir(folder).into_iter().flatten().flatten() {

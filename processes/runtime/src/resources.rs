@@ -75,8 +75,7 @@ impl Resources {
 fn set_realtime(priority: u8) -> Result<(), String> {
     let parameter = libc::sched_param { sched_priority: i32::from(priority) };
     // SAFETY: the parameter outlives the call, which only reads it; 0 is the calling process.
-    let result =
-        unsafe { libc::sched_setscheduler(0, libc::SCHED_FIFO | libc::SCHED_RESET_ON_FORK, &raw const parameter) };
+    let result = unsafe { libc::sched_setscheduler(0, libc::SCHED_FIFO, &raw const parameter) };
     if result == 0 { Ok(()) } else { Err(std::io::Error::last_os_error().to_string()) }
 }
 

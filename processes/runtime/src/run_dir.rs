@@ -4,6 +4,7 @@
 //! /dev/shm/sparrowhawk-<uid>/<run>/lock     held by the supervisor for as long as it lives
 //!                                 /alive    held, shared, by every process of the run
 //!                                 /iox/     iceoryx2's root: node and service files, event sockets
+//!                                 /claim-…  held by the one living process of a name: its number and incarnation
 //!                                 /images/  keyframes, and what processes leave to their successors
 //!                                 /boxes/   what every process received last
 //!                                 /supervisor, /record   who supervises, and what its successor must know
@@ -15,7 +16,7 @@
 use ipc_types::ProcessId;
 use rustix::fs::{FlockOperation, flock};
 use std::fs::{self, File, OpenOptions};
-use std::io;
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use xxhash_rust::xxh3::xxh3_64;
 
@@ -53,6 +54,14 @@ pub enum RunError {
         /// As given.
         name: String,
     },
+    /// Another incarnation of the process lives.
+    #[error("{process} lives already, as process {number}: it lives once")]
+    Claimed {
+        /// Which.
+        process: ProcessId,
+        /// The number of the one that lives; 0 if it has only begun.
+        number: u32,
+    },
     /// The folder cannot be used.
     #[error("cannot use {path}: {source}; shared memory must be writable by this user")]
     Inaccessible {
@@ -76,17 +85,27 @@ pub struct RunDir {
     path: PathBuf,
 }
 
-/// Proof that this process is the run's supervisor. Sweeps the run's shared memory when dropped.
+/// Proof that this process is the run's supervisor. Sweeps the run's shared memory when dropped, but for a run that was taken
+/// over: whatever goes wrong with that must not sweep what flies. There [`RunLock::end`] is to be called first.
 #[derive(Debug)]
 pub struct RunLock {
     run: RunDir,
+    sweeps: bool,
     _lock: File,
+}
+
+impl RunLock {
+    /// The run's processes have ended.
+    pub fn end(&mut self) {
+        self.sweeps = true;
+    }
 }
 
 /// A process' hold on its run: while anyone holds on, nobody takes the run anew.
 #[derive(Debug)]
 pub struct RunMember {
     _alive: File,
+    _claim: File,
 }
 
 impl RunDir {
@@ -189,7 +208,7 @@ impl RunDir {
         if !is_free(&lock) {
             return Err(self.already_running());
         }
-        Ok((!is_free(&alive)).then(|| RunLock { run: self.clone(), _lock: lock }))
+        Ok((!is_free(&alive)).then(|| RunLock { run: self.clone(), sweeps: false, _lock: lock }))
     }
 
     /// Takes the run: locks it, clears what a dead predecessor left, here and in other dead runs, and makes its folders.
@@ -207,7 +226,7 @@ impl RunDir {
         }
         drop(alive); // It only told whether anyone lives.
         // From here on, whatever fails leaves nothing behind.
-        let lock = RunLock { run: self.clone(), _lock: lock };
+        let lock = RunLock { run: self.clone(), sweeps: true, _lock: lock };
         self.sweep();
         self.sweep_dead_siblings();
         let statistics =
@@ -222,15 +241,40 @@ impl RunDir {
         Ok(lock)
     }
 
-    /// Holds on to a run as one of its processes.
+    /// Holds on to a run as one of its processes, of which each lives once: the kernel lets go when it dies.
     ///
     /// # Errors
-    /// The run does not exist.
-    pub fn join(&self) -> Result<RunMember, RunError> {
+    /// The run does not exist, or another incarnation of the process lives.
+    pub fn join(&self, process: ProcessId, incarnation: u32) -> Result<RunMember, RunError> {
         let path = self.path.join("alive");
         let alive = File::open(&path).map_err(inaccessible(&path))?;
         flock(&alive, FlockOperation::LockShared).map_err(|errno| inaccessible(&path)(errno.into()))?;
-        Ok(RunMember { _alive: alive })
+        let path = self.claim(process);
+        let open = || OpenOptions::new().create(true).truncate(false).write(true).open(&path);
+        let mut claim = open().map_err(inaccessible(&path))?;
+        if !is_free(&claim) {
+            let living = self.living(process).map_or(0, |(number, _)| number);
+            return Err(RunError::Claimed { process, number: living });
+        }
+        let text = format!("{} {incarnation}\n", std::process::id());
+        claim.set_len(0).and_then(|()| claim.write_all(text.as_bytes())).map_err(inaccessible(&path))?;
+        Ok(RunMember { _alive: alive, _claim: claim })
+    }
+
+    fn claim(&self, process: ProcessId) -> PathBuf {
+        self.path.join(format!("claim-{}", process.name()))
+    }
+
+    /// Number and incarnation of the process of that name that lives, whoever started it.
+    pub fn living(&self, process: ProcessId) -> Option<(u32, u32)> {
+        let path = self.claim(process);
+        let file = File::open(&path).ok()?;
+        if flock(&file, FlockOperation::NonBlockingLockShared).is_ok() {
+            return None; // Nobody holds it.
+        }
+        let text = fs::read_to_string(&path).ok()?;
+        let (number, incarnation) = text.trim().split_once(' ')?;
+        Some((number.parse().ok()?, incarnation.parse().ok()?))
     }
 
     fn already_running(&self) -> RunError {
@@ -258,7 +302,7 @@ impl RunDir {
                 && is_free(&lock)
                 && is_free(&alive)
             {
-                drop(RunLock { run: sibling, _lock: lock });
+                drop(RunLock { run: sibling, sweeps: true, _lock: lock });
             }
         }
     }
@@ -291,6 +335,9 @@ fn inaccessible(path: &Path) -> impl FnOnce(io::Error) -> RunError {
 
 impl Drop for RunLock {
     fn drop(&mut self) {
+        if !self.sweeps {
+            return;
+        }
         self.run.sweep();
         let _ = fs::remove_dir_all(&self.run.path);
     }
@@ -314,7 +361,11 @@ mod tests {
         assert!(matches!(run.take(), Err(RunError::AlreadyRunning { .. })));
         let leftover = Path::new(SHARED_MEMORY).join(format!("{}leftover", run.prefix()));
         fs::write(&leftover, b"x").expect("writable");
-        let member = run.join().expect("alive");
+        let member = run.join(ProcessId::Memory, 3).expect("alive");
+        assert_eq!(run.living(ProcessId::Memory), Some((std::process::id(), 3)));
+        let second = run.join(ProcessId::Memory, 4);
+        assert!(matches!(second, Err(RunError::Claimed { number, .. }) if number == std::process::id()), "{second:?}");
+        assert_eq!(run.living(ProcessId::Planner), None);
         drop(lock);
         assert!(!run.path.exists() && !leftover.exists());
         drop(member);
@@ -327,7 +378,7 @@ mod tests {
         assert!(run.take_over().expect("accessible").is_none(), "there is none");
         let lock = run.take().expect("free");
         run.write_record(b"as it was").expect("writable");
-        let member = run.join().expect("alive");
+        let member = run.join(ProcessId::Memory, 0).expect("alive");
         assert!(matches!(run.take_over(), Err(RunError::AlreadyRunning { .. })));
         // A killed supervisor sweeps nothing.
         let RunLock { _lock: file, .. } = &lock;
@@ -335,10 +386,13 @@ mod tests {
         assert!(matches!(run.take(), Err(RunError::Orphaned { .. })));
         let taken = run.take_over().expect("accessible").expect("orphaned");
         assert_eq!(run.read_record().expect("kept"), b"as it was");
-        flock(&taken._lock, FlockOperation::Unlock).expect("unlocked");
+        drop(taken);
+        assert_eq!(run.read_record().expect("kept"), b"as it was", "a takeover that fails sweeps nothing");
+        let mut taken = run.take_over().expect("accessible").expect("orphaned still");
         drop(member);
-        assert!(run.take_over().expect("accessible").is_none(), "nobody lives");
+        taken.end();
         std::mem::forget(lock);
         drop(taken);
+        assert!(!run.path.exists());
     }
 }

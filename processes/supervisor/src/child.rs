@@ -47,8 +47,6 @@ pub(crate) struct Running {
     pidfd: OwnedFd,
     /// Absent for the adopted.
     child: Option<Child>,
-    /// When the kernel started it, in its ticks since boot: tells it from a later process of the same number.
-    started_ticks: u64,
     /// Processor time that it had used when it was last looked at, ticks.
     used_ticks: u64,
     /// The same, when its usage was last asked for.
@@ -64,8 +62,8 @@ impl Running {
         let watched = pid(child.id()).and_then(|pid| Ok((pid, pidfd_open(pid, PidfdFlags::empty())?)));
         match watched {
             Ok((pid, pidfd)) => {
-                let (started_ticks, used_ticks) = ticks(pid).unwrap_or_default();
-                Ok(Self { pid, pidfd, child: Some(child), started_ticks, used_ticks, sampled_ticks: used_ticks })
+                let used_ticks = ticks(pid).unwrap_or_default();
+                Ok(Self { pid, pidfd, child: Some(child), used_ticks, sampled_ticks: used_ticks })
             }
             // Out of descriptors: a child that cannot be watched must not live. The wait ends, for it was killed.
             Err(error) => {
@@ -76,22 +74,17 @@ impl Running {
         }
     }
 
-    /// Takes over a process that a former supervisor started, if it is still that one.
-    pub(crate) fn adopt(number: u32, started_ticks: u64) -> Option<Self> {
+    /// Takes over a process that a former supervisor started. It is that one for as long as it holds its claim on the run.
+    pub(crate) fn adopt(number: u32) -> Option<Self> {
         let pid = pid(number).ok()?;
         let pidfd = pidfd_open(pid, PidfdFlags::empty()).ok()?;
-        // In this order: once the pidfd is held, the number cannot pass to another process unnoticed.
-        let (started, used_ticks) = ticks(pid)?;
-        let running = Self { pid, pidfd, child: None, started_ticks, used_ticks, sampled_ticks: used_ticks };
-        (started == started_ticks && !running.has_ended()).then_some(running)
+        let used_ticks = ticks(pid)?;
+        let running = Self { pid, pidfd, child: None, used_ticks, sampled_ticks: used_ticks };
+        (!running.has_ended()).then_some(running)
     }
 
     pub(crate) fn number(&self) -> u32 {
         self.pid.as_raw_nonzero().get().unsigned_abs()
-    }
-
-    pub(crate) fn started_ticks(&self) -> u64 {
-        self.started_ticks
     }
 
     /// Sends a signal. What has just died needs none any more; its exit is on the way.
@@ -108,12 +101,14 @@ impl Running {
         if !self.has_ended() {
             return None;
         }
-        let how = match &mut self.child {
-            Some(child) => describe(&child.wait()),
+        Some(match &mut self.child {
+            Some(child) => {
+                // Before it is reaped: until then the group's number is its own.
+                let _ = kill_process_group(self.pid, Signal::KILL);
+                describe(&child.wait())
+            }
             None => "ended under another supervisor, which alone could have learned how".to_owned(),
-        };
-        let _ = kill_process_group(self.pid, Signal::KILL);
-        Some(how)
+        })
     }
 
     /// What the kernel says of it, and of what it did since the last look, `elapsed` ago.
@@ -131,18 +126,30 @@ impl Running {
     }
 }
 
-impl Running {
-    /// What it has used since it was last asked, `elapsed` ago.
-    pub(crate) fn usage(&mut self, elapsed: Duration) -> Option<Usage> {
-        let process = Proc::new(self.pid.as_raw_nonzero().get()).ok()?;
+impl Usage {
+    /// What a process uses. `sampled_ticks`: processor time that it had used `elapsed` ago; brought up to date.
+    fn of(process: &Proc, sampled_ticks: &mut u64, elapsed: Duration) -> Option<Self> {
         let stat = process.stat().ok()?;
         let used = stat.utime + stat.stime;
-        let since = used.saturating_sub(std::mem::replace(&mut self.sampled_ticks, used));
-        Some(Usage {
+        let since = used.saturating_sub(std::mem::replace(sampled_ticks, used));
+        Some(Self {
             cpu: since as f64 / TICKS_HZ / elapsed.as_secs_f64().max(1e-3),
             resident_bytes: stat.rss * rustix::param::page_size() as u64,
             descriptors: process.fd_count().unwrap_or_default() as u64,
         })
+    }
+
+    /// What this process itself uses.
+    pub fn own(sampled_ticks: &mut u64, elapsed: Duration) -> Option<Self> {
+        Self::of(&Proc::myself().ok()?, sampled_ticks, elapsed)
+    }
+}
+
+impl Running {
+    /// What it has used since it was last asked, `elapsed` ago.
+    pub(crate) fn usage(&mut self, elapsed: Duration) -> Option<Usage> {
+        let process = Proc::new(self.pid.as_raw_nonzero().get()).ok()?;
+        Usage::of(&process, &mut self.sampled_ticks, elapsed)
     }
 }
 
@@ -171,10 +178,10 @@ fn pid(number: u32) -> io::Result<Pid> {
     i32::try_from(number).ok().and_then(Pid::from_raw).ok_or_else(|| io::ErrorKind::InvalidInput.into())
 }
 
-/// When a process was started, and how much processor time it has used.
-fn ticks(pid: Pid) -> Option<(u64, u64)> {
+/// How much processor time a process has used, ticks.
+fn ticks(pid: Pid) -> Option<u64> {
     let stat = Proc::new(pid.as_raw_nonzero().get()).ok()?.stat().ok()?;
-    Some((stat.starttime, stat.utime + stat.stime))
+    Some(stat.utime + stat.stime)
 }
 
 fn describe(status: &io::Result<ExitStatus>) -> String {
@@ -223,18 +230,18 @@ mod tests {
     }
 
     #[test]
-    fn a_stopped_child_is_seen_and_another_of_its_number_is_not_adopted() {
+    fn a_stopped_child_is_seen_and_an_adopted_one_is_watched_to_its_end() {
         let mut sleeper = shell("exec sleep 60");
         sleeper.signal(Signal::STOP);
         let began = std::time::Instant::now();
         while sleeper.look(Duration::ZERO) != Look::Halted {
             assert!(began.elapsed() < Duration::from_secs(10));
         }
-        let (number, ticks) = (sleeper.number(), sleeper.started_ticks());
-        assert!(Running::adopt(number, ticks + 1).is_none());
-        let adopted = Running::adopt(number, ticks).expect("itself");
+        let adopted = Running::adopt(sleeper.number()).expect("alive");
         adopted.signal(Signal::KILL);
         assert!(wait_any([&adopted], Duration::from_secs(20)));
+        let number = sleeper.number();
         end_of(sleeper);
+        assert!(Running::adopt(number).is_none(), "nobody is there any more");
     }
 }

@@ -97,6 +97,11 @@ impl Ladder {
         Self { config, step, better_since: None, resting_since: None }
     }
 
+    /// Goes on from where a former supervisor's stood.
+    pub fn resume(&mut self, step: Step) {
+        self.step = step;
+    }
+
     /// Where the flight stands.
     pub fn present(&self) -> &Step {
         &self.step
@@ -105,7 +110,9 @@ impl Ladder {
     /// Where it is to stand.
     pub fn look(&mut self, now: FlightTime, seen: &Observed) -> &Step {
         let called_for = self.called_for(now, seen);
-        if called_for.rung >= self.step.rung {
+        let is_better = called_for.rung < self.step.rung
+            || called_for.rung == self.step.rung && called_for.speed_share > self.step.speed_share;
+        if !is_better {
             self.better_since = None;
             self.step = called_for;
         } else if self.step.rung != Rung::HandBack {
@@ -239,6 +246,17 @@ mod tests {
         let mut ladder = Ladder::new(CONFIG);
         let ground = Observed { airborne: false, map_age_s: 9.0, ..WELL };
         assert_eq!(climb(&mut ladder, 0.0, 3.0, |_| ground), [(0.0, Rung::Full)]);
+    }
+
+    #[test]
+    fn speed_comes_back_as_late_as_a_rung_does() {
+        let mut ladder = Ladder::new(CONFIG);
+        let slow = |arriving| Observed { arriving, ..WELL };
+        assert_eq!(ladder.look(t(0.0), &slow(0.5)).speed_share, 0.5);
+        assert_eq!(ladder.look(t(0.5), &slow(0.7)).speed_share, 0.5);
+        assert_eq!(ladder.look(t(1.0), &slow(0.4)).speed_share, 0.4);
+        assert_eq!(ladder.look(t(1.1), &slow(0.7)).speed_share, 0.4);
+        assert_eq!(ladder.look(t(2.2), &slow(0.7)).speed_share, 0.7);
     }
 
     #[test]

@@ -172,6 +172,8 @@ const HOVERING_FOR: Duration = Duration::from_secs(1);
 pub const ATTENTION: Duration = Duration::from_millis(10);
 /// A waypoint is passed this close, m: near enough to go on to the next one without slowing down for it.
 const PASSED_M: f64 = 2.5;
+/// Heartbeats and outputs that nobody has taken yet.
+const MOST_UNREAD: usize = 4096;
 /// Between goal messages.
 const GOAL_INTERVAL: Duration = Duration::from_millis(500);
 
@@ -182,6 +184,7 @@ pub struct Mission {
     next_goal: FlightTime,
     /// Waypoints passed.
     passed: usize,
+    is_taken_over: bool,
     now: FlightTime,
     hovering_since: Option<FlightTime>,
     given_up_since: Option<FlightTime>,
@@ -210,6 +213,7 @@ impl Mission {
             config,
             next_goal: FlightTime::ZERO,
             passed: 0,
+            is_taken_over: false,
             now: FlightTime::ZERO,
             hovering_since: None,
             given_up_since: None,
@@ -277,9 +281,12 @@ impl Mission {
         self.passed
     }
 
-    /// Goes on after so many waypoints: of a flight that was taken over.
-    pub fn resume(&mut self, passed: usize) {
+    /// Goes on with a flight that was taken over: after so many waypoints, on that rung. Nothing is said before the flight's
+    /// time is known.
+    pub fn resume(&mut self, passed: usize, step: crate::ladder::Step) {
         self.passed = passed.min(self.config.waypoints_m.len());
+        self.ladder.resume(step);
+        self.is_taken_over = true;
     }
 
     /// The account so far.
@@ -377,7 +384,14 @@ impl Mission {
 
     fn published(&mut self, stage: &'static str, stamp: &Stamp) {
         self.recorder.published(stage, stamp);
-        self.outputs.push(*stamp);
+        self.note_output(stamp);
+    }
+
+    /// For whoever supervises; where nobody does, as in lockstep, nobody takes them.
+    fn note_output(&mut self, stamp: &Stamp) {
+        if self.outputs.len() < MOST_UNREAD {
+            self.outputs.push(*stamp);
+        }
     }
 
     /// Follows an image through the stages by its exposure.
@@ -424,23 +438,27 @@ impl Process for Mission {
     fn step<P: Ports>(&mut self, ports: &mut P) -> Report {
         self.now = ports.now();
         self.time_stages(ports);
-        self.say_how_far(ports);
-        self.say_where_to(ports);
+        if !self.is_taken_over || self.now > FlightTime::ZERO {
+            self.say_how_far(ports);
+            self.say_where_to(ports);
+        }
         while let Some(plan) = ports.receive::<Plan>() {
             self.recorder.plan(plan.header());
-            self.outputs.push(*plan.header().stamp());
+            self.note_output(plan.header().stamp());
             self.plan = Some(*plan.header());
         }
         while let Some(setpoint) = ports.receive::<Setpoints>() {
             self.recorder.setpoint(setpoint.header());
-            self.outputs.push(*setpoint.header().stamp());
+            self.note_output(setpoint.header().stamp());
         }
         while let Some(state) = ports.receive::<State>() {
             self.state = Some(*state.header());
         }
         while let Some(health) = ports.receive::<HealthReports>() {
             self.recorder.health(health.header());
-            self.heartbeats.push(*health.header());
+            if self.heartbeats.len() < MOST_UNREAD {
+                self.heartbeats.push(*health.header());
+            }
         }
         while let Some(truth) = ports.receive::<Truth>() {
             if self.outcome.is_none() {

@@ -32,7 +32,8 @@ pub(crate) struct Observation {
     /// Of the newest set: its memory's incarnation, its size, and what could not be stored.
     set: Option<(u32, usize, u64)>,
     lost_at: Option<FlightTime>,
-    away: Option<(ProcessId, FlightTime)>,
+    /// Flight processes that are away, and since when.
+    away: Vec<(ProcessId, FlightTime)>,
     given_up: Option<ProcessId>,
 }
 
@@ -70,8 +71,12 @@ impl Observation {
             child.phase != Phase::Running && child.restarts + child.incarnation > 0
                 || matches!(child.phase, Phase::BackingOff(_) | Phase::Ending { .. })
         };
-        let since = |process| self.away.filter(|(before, _)| *before == process).map_or(now, |(_, since)| since);
-        self.away = flying().find(is_away).map(|child| (child.process, since(child.process)));
+        self.away.retain(|(process, _)| flying().filter(is_away).any(|child| child.process == *process));
+        for child in flying().filter(is_away) {
+            if self.away.iter().all(|(process, _)| *process != child.process) {
+                self.away.push((child.process, now));
+            }
+        }
     }
 
     /// What is known now.
@@ -84,7 +89,8 @@ impl Observation {
         let seen = counted.iter().filter(|seen| **seen).count();
         let arriving = if counted.len() < FEWEST { 1.0 } else { seen as f64 / counted.len() as f64 };
         Observed {
-            away: self.away,
+            // Whoever has been away for longest.
+            away: self.away.first().copied(),
             given_up: self.given_up,
             lost_keyframes: self.lost_at.is_some_and(|at| now.saturating_since(at) < LOST_FOR),
             arriving,

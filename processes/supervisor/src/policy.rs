@@ -38,6 +38,8 @@ pub enum Event {
         incarnation: u32,
         /// Its deaths that still count.
         deaths: Vec<HostTime>,
+        /// Why it was given up, if it was.
+        given_up: Option<String>,
     },
     /// It could not be started.
     NotStarted(String),
@@ -107,6 +109,8 @@ struct Member {
     incarnation: u32,
     /// When the phase began.
     since: HostTime,
+    /// When it was last started.
+    started: HostTime,
     deaths: Vec<HostTime>,
     /// The last heartbeat, or when its absence began to count.
     beat: HostTime,
@@ -151,6 +155,7 @@ impl Policy {
             phase: Phase::Stopped,
             incarnation: 0,
             since: now,
+            started: now,
             deaths: Vec::new(),
             beat: now,
             heard: now,
@@ -228,8 +233,11 @@ impl Policy {
                 (member.incarnation, member.deaths) = (incarnation, deaths);
                 member.enter(Phase::Running, now);
             }
-            Event::Left { incarnation, deaths } if !member.phase.is_live() => {
+            Event::Left { incarnation, deaths, given_up } if !member.phase.is_live() => {
                 (member.incarnation, member.deaths) = (incarnation + 1, deaths);
+                if let Some(why) = given_up {
+                    member.enter(Phase::GivenUp(why), now);
+                }
             }
             Event::Beat(incarnation) if is_current(incarnation) => {
                 (member.beat, member.heard) = (now, now);
@@ -302,15 +310,19 @@ impl Policy {
         if let Some(at) = member.anew_at.take() {
             return member.enter(Phase::BackingOff(at.max(now)), now);
         }
-        member.deaths.retain(|&death| now.saturating_since(death) < rule.window());
+        // Whoever has lived for a whole window is well again, and begins to count anew.
+        if now.saturating_since(member.started) >= rule.window() {
+            member.deaths.clear();
+        }
         member.deaths.push(now);
         let deaths = member.deaths.len() as u32;
         if deaths > rule.most {
-            let reason = format!("{how}; it died {deaths} times within {} s", rule.window_s);
+            let reason = format!("{how}; it died {deaths} times without living for {} s in between", rule.window_s);
             member.enter(Phase::GivenUp(reason.clone()), now);
             return actions.push(Action::GaveUp(process, reason));
         }
-        let wait = rule.wait(deaths);
+        let recent = member.deaths.iter().filter(|&&death| now.saturating_since(death) < rule.window()).count() as u32;
+        let wait = rule.wait(recent);
         member.enter(Phase::BackingOff(now + wait), now);
         actions.push(Action::Died(process, how, wait));
         if rule.strategy == Strategy::RestForOne {
@@ -335,6 +347,7 @@ impl Member {
     fn start(&mut self, now: HostTime, actions: &mut Vec<Action>) {
         (self.why, self.anew_at) = (None, None);
         self.enter(Phase::Starting, now);
+        self.started = now;
         actions.push(Action::Start(self.process, self.incarnation));
     }
 

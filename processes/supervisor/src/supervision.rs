@@ -8,6 +8,7 @@ use ipc_types::wire::Stamp;
 use ipc_types::{HostTime, ProcessId};
 use runtime::host_now;
 use runtime::ipc::Services;
+use runtime::run_dir::RunDir;
 use rustix::process::Signal;
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
@@ -17,10 +18,12 @@ use std::time::Duration;
 const LOOK_AFTER: Duration = Duration::from_millis(120);
 /// Between two looks.
 const LOOK_EVERY: Duration = Duration::from_millis(50);
+/// What has not ended so long after it was killed never will.
+const UNKILLABLE: Duration = Duration::from_secs(10);
 /// Between two samples of what a process uses.
 const SAMPLE_EVERY: Duration = Duration::from_secs(1);
 /// Recoveries that are remembered of a process.
-const RECOVERIES: usize = 10_000;
+const RECOVERIES: usize = 1000;
 
 /// What to run for a process.
 #[derive(Clone, Debug)]
@@ -63,10 +66,10 @@ pub struct Orphan {
     pub process: ProcessId,
     /// Its number; absent if it did not run.
     pub pid: Option<u32>,
-    /// When the kernel started it, ticks since boot.
-    pub started_ticks: u64,
     /// Which incarnation.
     pub incarnation: u32,
+    /// Why it was given up, if it was.
+    pub given_up: Option<String>,
     /// Its deaths that still count, host time, ns.
     pub deaths_ns: Vec<i64>,
 }
@@ -86,7 +89,7 @@ pub struct ChildStatus {
     pub incarnation: u32,
     /// How often it was restarted under this supervisor.
     pub restarts: u32,
-    /// Times from a death to the first output of the successor, s; to its first heartbeat for what has no output.
+    /// Times from a death to the first output of the successor that is of a later instant than all before, s; to its first heartbeat for what has no output.
     pub recoveries_s: Vec<f64>,
     /// When its last heartbeat arrived.
     pub beat_at: Option<HostTime>,
@@ -119,7 +122,10 @@ struct Supervised {
     restarts: u32,
     died_at: Option<HostTime>,
     recoveries_s: Vec<f64>,
+    /// Validity of its newest output, whichever incarnation made it, ns.
+    newest_ns: i64,
     beat_at: Option<HostTime>,
+    started_at: Option<HostTime>,
     looked: HostTime,
     health: Option<Health>,
     sampled: HostTime,
@@ -144,28 +150,32 @@ impl std::fmt::Debug for Supervision {
 
 impl Supervision {
     /// Starts the graph, but for those that a former supervisor left and that still live. The run's services must exist.
-    pub fn start(commands: Vec<ChildCommand>, signals: SignalWatch, orphans: &[Orphan]) -> Self {
+    pub fn start(commands: Vec<ChildCommand>, signals: SignalWatch, (run, orphans): (&RunDir, &[Orphan])) -> Self {
         // What children fork and leave is reaped here; where that is not permitted, by whoever is.
         let _ = rustix::process::set_child_subreaper(Some(rustix::process::getpid()));
         let now = host_now();
         let policy = Policy::new(commands.iter().map(|command| (command.process, command.rule)), now);
         let children = commands.into_iter().map(Supervised::new).collect();
         let mut supervision = Self { policy, children, signals, groups: Vec::new(), happenings: Vec::new() };
-        orphans.iter().for_each(|orphan| supervision.adopt(orphan, now));
+        orphans.iter().for_each(|orphan| supervision.adopt(run, orphan, now));
         let actions = supervision.policy.begin(now);
         supervision.carry_out(actions);
         supervision
     }
 
-    fn adopt(&mut self, orphan: &Orphan, now: HostTime) {
+    fn adopt(&mut self, run: &RunDir, orphan: &Orphan, now: HostTime) {
         let child = self.children.iter_mut().find(|child| child.command.process == orphan.process);
         let Some(child) = child else { return };
-        let (incarnation, deaths) = (orphan.incarnation, orphan.deaths_ns.iter());
-        let deaths = deaths.map(|&ns| HostTime::from_nanos(ns)).collect();
-        child.running = orphan.pid.and_then(|pid| Running::adopt(pid, orphan.started_ticks));
-        let event = match child.running {
-            Some(_) => Event::Adopted { incarnation, deaths },
-            None => Event::Left { incarnation, deaths },
+        let deaths = orphan.deaths_ns.iter().map(|&ns| HostTime::from_nanos(ns)).collect();
+        // The record may be older than the last restart; who holds the process' claim lives.
+        let living = run.living(orphan.process);
+        child.running = living.and_then(|(number, _)| Running::adopt(number));
+        let event = match (living, &child.running) {
+            (Some((_, incarnation)), Some(_)) => Event::Adopted { incarnation, deaths },
+            _ => {
+                let (incarnation, given_up) = (orphan.incarnation, orphan.given_up.clone());
+                Event::Left { incarnation, deaths, given_up }
+            }
         };
         self.tell(now, orphan.process, event);
     }
@@ -177,7 +187,10 @@ impl Supervision {
             Some(Orphan {
                 process,
                 pid: running.map(Running::number),
-                started_ticks: running.map_or(0, Running::started_ticks),
+                given_up: match self.policy.phase(process) {
+                    Some(Phase::GivenUp(why)) => Some(why.clone()),
+                    _ => None,
+                },
                 incarnation: self.policy.incarnation(process)?,
                 deaths_ns: self.policy.deaths(process).iter().map(|death| death.as_nanos()).collect(),
             })
@@ -226,9 +239,14 @@ impl Supervision {
     pub fn saw_output(&mut self, stamp: &Stamp) {
         let Some(process) = ProcessId::from_wire(stamp.producer) else { return };
         let now = host_now();
-        if self.policy.incarnation(process) == Some(stamp.incarnation) {
-            let child = self.children.iter_mut().find(|child| child.command.process == process);
-            child.into_iter().for_each(|child| child.recovered(now));
+        if self.policy.incarnation(process) == Some(stamp.incarnation)
+            && let Some(child) = self.children.iter_mut().find(|child| child.command.process == process)
+        {
+            // What a predecessor had made already, published again, is no recovery.
+            if stamp.valid_ns > child.newest_ns {
+                child.newest_ns = stamp.valid_ns;
+                child.recovered(now);
+            }
         }
         self.tell(now, process, Event::Output(stamp.incarnation));
     }
@@ -278,14 +296,15 @@ impl Supervision {
                 (child.sampled, child.usage) = (now, running.usage(elapsed));
             }
             let process = child.command.process;
-            let is_quiet = child.beat_at.is_some_and(|at| now.saturating_since(at) > LOOK_AFTER);
+            let is_quiet = now.saturating_since(child.beat_at.max(child.started_at).unwrap_or(now)) > LOOK_AFTER;
             let elapsed = now.saturating_since(child.looked);
             if let Some(running) = child.running.as_mut().filter(|_| is_quiet && elapsed > LOOK_EVERY) {
                 child.looked = now;
                 match running.look(elapsed) {
                     Look::Halted => seen.push((process, Event::Halted)),
-                    Look::Starved => seen.push((process, Event::Starved)),
-                    Look::Awake => {}
+                    // What it did before it fell quiet says nothing: the first look only begins to count.
+                    Look::Starved if elapsed < LOOK_AFTER => seen.push((process, Event::Starved)),
+                    Look::Starved | Look::Awake => {}
                 }
             }
         }
@@ -326,6 +345,7 @@ impl Supervision {
         arguments.extend(["--incarnation".to_owned(), incarnation.to_string()]);
         child.restarts += u32::from(incarnation > 0);
         (child.health, child.beat_at, child.usage) = (None, None, None);
+        child.started_at = Some(host_now());
         // Out of processes, memory or descriptors: a death like any other, to be tried again after a wait.
         child.running = Some(Running::start(&arguments).inspect_err(|_| {
             let _ = child.died_at.get_or_insert(host_now());
@@ -349,9 +369,13 @@ impl Supervision {
     /// Returns the status of the children before.
     pub fn stop(&mut self, services: &Services) -> Vec<ChildStatus> {
         let last_seen = self.status();
-        let actions = self.policy.stop(host_now());
+        let began = host_now();
+        let actions = self.policy.stop(began);
         self.carry_out(actions);
-        while !self.policy.is_over() {
+        // What was killed and still does not end hangs in the kernel; nobody waits for that.
+        let longest = self.children.iter().map(|child| Duration::from_secs_f64(child.command.rule.grace_s));
+        let longest = longest.sum::<Duration>() + UNKILLABLE;
+        while !self.policy.is_over() && host_now().saturating_since(began) < longest {
             let happened = self.attend(services, Duration::from_millis(20));
             if happened.iter().any(|happening| matches!(happening, Happening::Signal(_))) {
                 let running = self.children.iter().filter_map(|child| child.running.as_ref());
@@ -381,7 +405,9 @@ impl Supervised {
             restarts: 0,
             died_at: None,
             recoveries_s: Vec::new(),
+            newest_ns: i64::MIN,
             beat_at: None,
+            started_at: None,
             looked: HostTime::ZERO,
             health: None,
             sampled: HostTime::ZERO,

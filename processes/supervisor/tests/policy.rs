@@ -35,6 +35,9 @@ fn rule(process: ProcessId) -> Rule {
 #[derive(Clone, Copy, Debug)]
 enum Fate {
     Dies,
+    /// And so does every successor.
+    AlwaysHangs,
+    AlwaysSilent,
     Hangs,
     Halts,
     FallsSilent,
@@ -50,6 +53,8 @@ enum Fate {
 fn fates() -> impl Strategy<Value = Vec<(u16, u8, Fate)>> {
     let fate = prop_oneof![
         4 => Just(Fate::Dies),
+        1 => Just(Fate::AlwaysHangs),
+        1 => Just(Fate::AlwaysSilent),
         1 => Just(Fate::Hangs),
         1 => Just(Fate::Halts),
         1 => Just(Fate::FallsSilent),
@@ -74,6 +79,8 @@ struct Real {
     dying: bool,
     cannot_start: bool,
     started: Vec<HostTime>,
+    /// Whatever is started hangs, or is silent.
+    always: (bool, bool),
 }
 
 /// An operating system, and the policy that rules it.
@@ -109,8 +116,17 @@ impl World {
                         let why = "no memory".to_owned();
                         actions.extend(self.policy.happened(self.now, process, Event::NotStarted(why)));
                     } else {
-                        let (started, ignores_term) = (std::mem::take(&mut real.started), real.ignores_term);
-                        *real = Real { live: Some(incarnation), started, ignores_term, ..Real::default() };
+                        let (started, always) = (std::mem::take(&mut real.started), real.always);
+                        let ((hangs, silent), ignores_term) = (always, real.ignores_term);
+                        *real = Real {
+                            live: Some(incarnation),
+                            started,
+                            always,
+                            hangs,
+                            silent,
+                            ignores_term,
+                            ..Real::default()
+                        };
                     }
                 }
                 Action::Terminate(process) => {
@@ -135,11 +151,15 @@ impl World {
         let real = self.real.get_mut(&process).expect("a member");
         match fate {
             Fate::Dies => real.dying |= real.live.is_some() && process != ProcessId::Simulator,
+            Fate::AlwaysHangs => real.always.0 = process != ProcessId::Simulator,
+            Fate::AlwaysSilent => real.always.1 = true,
             Fate::Hangs => real.hangs = process != ProcessId::Simulator,
             Fate::Halts => real.halts = process != ProcessId::Simulator,
             Fate::FallsSilent => real.silent = true,
             Fate::IgnoresTerm => real.ignores_term = true,
-            Fate::Recovers => (real.hangs, real.halts, real.silent) = (false, false, false),
+            Fate::Recovers => {
+                (real.hangs, real.halts, real.silent, real.always) = (false, false, false, (false, false));
+            }
             Fate::CannotStart => real.cannot_start = true,
             Fate::MayStartAgain => real.cannot_start = false,
             Fate::SupervisorSleeps => self.now = self.now + Duration::from_secs(2),
@@ -212,7 +232,8 @@ proptest! {
             world.pass();
         }
         prop_assert_eq!(&world.ended, &None, "the world did not die");
-        for _ in 0..500 {
+        // What hangs from its start is noticed after a second, and that seven times over.
+        for _ in 0..1500 {
             world.pass();
         }
         for process in MEMBERS {
@@ -290,16 +311,18 @@ fn what_waits_for_the_processor_gets_more_time_but_not_for_ever() {
 fn what_is_not_fed_or_refuses_its_input_is_not_silent() {
     let mut world = World::new();
     (0..100).for_each(|_| world.pass());
-    for process in [ProcessId::Memory, ProcessId::Planner] {
-        world.befall(process, Fate::FallsSilent);
-    }
-    // The memory is not fed by anyone here; it starves the planner, which is therefore not silent.
+    // The planner is fed and makes nothing of it, but counts what it refuses.
+    world.befall(ProcessId::Planner, Fate::FallsSilent);
     for _ in 0..400 {
         world.pass();
         let incarnation = world.policy.incarnation(ProcessId::Planner).expect("a member");
         world.policy.happened(world.now, ProcessId::Planner, Event::Refused(incarnation));
     }
-    assert_eq!(world.policy.incarnation(ProcessId::Planner), Some(0));
+    assert_eq!(world.policy.incarnation(ProcessId::Planner), Some(0), "it refuses");
+    // The memory, which nobody feeds here, falls silent, too: so the planner is not fed any more, and needs not refuse.
+    world.befall(ProcessId::Memory, Fate::FallsSilent);
+    (0..100).for_each(|_| world.pass());
+    assert_eq!(world.policy.incarnation(ProcessId::Planner), Some(0), "it is not fed");
 }
 
 #[test]
@@ -312,7 +335,7 @@ fn the_adopted_are_not_started_and_their_deaths_still_count() {
     assert_eq!(started.len(), 3, "{started:?}");
     assert_eq!(policy.incarnation(ProcessId::Planner), Some(6));
     let mut other = Policy::new(MEMBERS.map(|process| (process, rule(process))), now);
-    other.happened(now, ProcessId::Memory, Event::Left { incarnation: 3, deaths: Vec::new() });
+    other.happened(now, ProcessId::Memory, Event::Left { incarnation: 3, deaths: Vec::new(), given_up: None });
     assert!(
         other.begin(now).contains(&Action::Start(ProcessId::Memory, 4)),
         "the dead are followed by a later incarnation"

@@ -17,6 +17,8 @@ use std::time::Duration;
 
 /// Heartbeats per second: one every so often.
 const HEARTBEAT: Duration = Duration::from_millis(50);
+/// Changes of health are logged no more often.
+const LOG_INTERVAL: Duration = Duration::from_millis(100);
 /// Longest sleep, so that a signal or an orphaned process is noticed.
 const LONGEST_SLEEP: Duration = Duration::from_millis(20);
 
@@ -43,6 +45,9 @@ struct Heart {
     longest_step: Duration,
     reported: Option<HealthLevel>,
     last_report: Report,
+    logged: HostTime,
+    /// Changes of health since then.
+    unlogged: u64,
 }
 
 /// Drives a process until SIGTERM or SIGINT, or until its supervisor has been dead for the lease.
@@ -55,6 +60,13 @@ pub fn drive<P: Process>(mut process: P, run: &RunDir, rig: &StereoRig, options:
         signal_hook::flag::register(signal, Arc::clone(&stop))
             .map_err(|error| IpcError::new("watch signals")(&error))?;
     }
+    let mut lease = Lease::new(run, options.supervisor, options.lease);
+    if lease.is_replaced() {
+        return Err(IpcError::new("join the run")(&"the supervisor that started this process was replaced meanwhile"));
+    }
+    let _member = run
+        .join(P::ID, options.incarnation)
+        .map_err(|error| IpcError::new(format!("join the run: {error}"))(&error))?;
     let makes_time = process.flight_time(host_now()).is_some();
     let mut ports = IpcPorts::open_salted(run, P::ID, options.incarnation, rig, options.schema_salt, |ports| {
         process.connect(ports);
@@ -63,19 +75,10 @@ pub fn drive<P: Process>(mut process: P, run: &RunDir, rig: &StereoRig, options:
             ports.follow_flight_clock();
         }
     })?;
-    let _alive = run.join().map_err(|error| IpcError::new("join the run")(&error))?;
     ports.keep_black_box(run);
     ports.inject(Injection::new(&options.faults, P::ID, options.incarnation));
-    let mut lease = Lease::new(run, options.supervisor, options.lease);
     let mut injection = Injection::new(&options.faults, P::ID, options.incarnation);
-    let mut heart = Heart {
-        last_beat: HostTime::ZERO,
-        steps: 0,
-        last_step: Duration::ZERO,
-        longest_step: Duration::ZERO,
-        reported: None,
-        last_report: Report::waiting("starting"),
-    };
+    let mut heart = Heart::new();
     tracing::info!(pid = std::process::id(), "up");
     while !stop.load(Ordering::Relaxed) {
         if lease.is_over() {
@@ -98,20 +101,7 @@ pub fn drive<P: Process>(mut process: P, run: &RunDir, rig: &StereoRig, options:
             true => process.step(&mut ports),
             false => heart.last_report,
         };
-        let ended = host_now();
-        heart.last_report = report;
-        heart.steps += u64::from(report.worked);
-        if report.worked {
-            heart.last_step = ended.saturating_since(started);
-            heart.longest_step = heart.longest_step.max(heart.last_step);
-        }
-        let changed = heart.reported != Some(report.level);
-        if changed || ended.saturating_since(heart.last_beat) >= HEARTBEAT {
-            heart.last_beat = ended;
-            if changed {
-                log_health(ports.now(), &report);
-            }
-            heart.reported = Some(report.level);
+        if heart.stepped(ports.now(), &report, started) {
             process.housekeep();
             beat(&mut ports, &heart, &report);
         }
@@ -121,13 +111,54 @@ pub fn drive<P: Process>(mut process: P, run: &RunDir, rig: &StereoRig, options:
     Ok(())
 }
 
-/// A change of health, in the run's log.
-fn log_health(now: FlightTime, report: &Report) {
-    let flight_s = now.as_secs_f64();
-    match report.level {
-        HealthLevel::Ok => tracing::info!(flight_s, "well"),
-        HealthLevel::Degraded => tracing::info!(flight_s, note = report.note, "degraded"),
-        HealthLevel::Faulted => tracing::warn!(flight_s, note = report.note, dropped = report.dropped, "faulted"),
+impl Heart {
+    fn new() -> Self {
+        Self {
+            last_beat: HostTime::ZERO,
+            steps: 0,
+            last_step: Duration::ZERO,
+            longest_step: Duration::ZERO,
+            reported: None,
+            last_report: Report::waiting("starting"),
+            logged: HostTime::ZERO,
+            unlogged: 0,
+        }
+    }
+
+    /// Notes a step; whether it is to beat now.
+    fn stepped(&mut self, now: FlightTime, report: &Report, started: HostTime) -> bool {
+        let ended = host_now();
+        self.last_report = *report;
+        self.steps += u64::from(report.worked);
+        if report.worked {
+            self.last_step = ended.saturating_since(started);
+            self.longest_step = self.longest_step.max(self.last_step);
+        }
+        let changed = self.reported != Some(report.level);
+        if changed {
+            self.log(now, report, ended);
+        }
+        let beats = changed || ended.saturating_since(self.last_beat) >= HEARTBEAT;
+        if beats {
+            (self.last_beat, self.reported) = (ended, Some(report.level));
+        }
+        beats
+    }
+
+    /// A change of health, in the run's log: but for those that follow too fast, which are counted.
+    fn log(&mut self, now: FlightTime, report: &Report, at: HostTime) {
+        if at.saturating_since(self.logged) < LOG_INTERVAL {
+            self.unlogged += 1;
+            return;
+        }
+        self.logged = at;
+        let (flight_s, unlogged) = (now.as_secs_f64(), std::mem::take(&mut self.unlogged));
+        let (note, dropped) = (report.note, report.dropped);
+        match report.level {
+            HealthLevel::Ok => tracing::info!(flight_s, unlogged, "well"),
+            HealthLevel::Degraded => tracing::info!(flight_s, note, unlogged, "degraded"),
+            HealthLevel::Faulted => tracing::warn!(flight_s, note, dropped, unlogged, "faulted"),
+        }
     }
 }
 

@@ -26,6 +26,13 @@ impl Lease {
         Self { run: run.clone(), supervisor, pidfd: watch(supervisor), length, orphaned_since: None }
     }
 
+    /// Whether the supervisor died before this process had begun, and another has taken the run over since: that one has
+    /// started its own.
+    pub(super) fn is_replaced(&self) -> bool {
+        let is_dead = !self.pidfd.as_ref().is_some_and(is_alive);
+        is_dead && self.run.supervisor().is_some_and(|number| number != self.supervisor)
+    }
+
     /// Whether the supervisor has been dead for longer than the lease, and nobody has taken its place.
     pub(super) fn is_over(&mut self) -> bool {
         if self.pidfd.as_ref().is_some_and(is_alive) {
@@ -79,9 +86,13 @@ mod tests {
         assert!(!lease.is_over() && lease.orphaned_since.is_none());
         end(first);
         assert!(!lease.is_over() && lease.orphaned_since.is_some(), "it has only just begun");
-        assert!(!short.is_over() || short.is_over());
-        while !short.is_over() {}
+        let began = std::time::Instant::now();
+        while !short.is_over() {
+            assert!(began.elapsed() < Duration::from_secs(10), "it never ends");
+        }
+        assert!(!lease.is_replaced());
         run.name_supervisor(second.id()).expect("writable");
+        assert!(lease.is_replaced(), "and a process that starts only now is not wanted");
         assert!(!lease.is_over() && lease.orphaned_since.is_none(), "adopted");
         end(second);
         assert!(!lease.is_over() && lease.orphaned_since.is_some());
