@@ -62,7 +62,7 @@ pub fn run(arguments: &ChildArguments) -> Result<(), Box<dyn Error>> {
     let run = RunDir::named(&arguments.run)?;
     let lease = Duration::from_secs_f64(config.graph.lease_s);
     let (process, incarnation) = (arguments.process, arguments.incarnation);
-    crash::report_panics(&arguments.run_dir, process, incarnation);
+    crash::report_panics(&run, &arguments.run_dir, process, incarnation);
     let _log = logging::begin(&arguments.run_dir, &arguments.run, process, incarnation)?;
     for refused in config.graph.resources(process).apply() {
         tracing::warn!(refused, "not permitted");

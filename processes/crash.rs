@@ -23,13 +23,14 @@ fn append(path: &Path, text: &str) -> io::Result<()> {
 }
 
 /// Has panics of this process reported.
-pub(crate) fn report_panics(folder: &Path, process: ProcessId, incarnation: u32) {
-    let path = path(folder, process, incarnation);
+pub(crate) fn report_panics(run: &RunDir, folder: &Path, process: ProcessId, incarnation: u32) {
+    let (run, path) = (run.clone(), path(folder, process, incarnation));
     let before = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |info| {
-        let text = format!("{info}\n\nbacktrace:\n{}\n", Backtrace::force_capture());
-        // The disk may be full; there is nobody else to tell.
-        let _ = append(&path, &text);
+        run.note_dying(process);
+        // First what takes no time. The disk may be full; there is nobody else to tell.
+        let _ = append(&path, &format!("{info}\n\n"));
+        let _ = append(&path, &format!("backtrace:\n{}\n", Backtrace::force_capture()));
         before(info);
     }));
 }

@@ -74,8 +74,10 @@ pub(crate) fn fly(
     })?;
     let commands = config.graph.processes.iter().map(|member| command(run, files.folder(), member));
     let commands = commands.collect::<std::io::Result<Vec<_>>>()?;
-    let intruder = commands.iter().find(|command| command.process == ProcessId::Planner);
-    let intruder = intruder.map_or(Vec::new(), |command| command.arguments.clone());
+    // A process of which no flight has one: it is to be refused for its version, not for being the second.
+    let player = config.graph.processes.first().map(|member| Member { process: ProcessId::Player, ..member.clone() });
+    let intruder = player.map(|player| command(run, files.folder(), &player)).transpose()?;
+    let intruder = intruder.map_or(Vec::new(), |command| command.arguments);
     let from_s = before.map_or(f64::NEG_INFINITY, |record| record.flight_s);
     let account = before.map(|record| record.account.clone()).unwrap_or_default();
     let orphans = before.map_or(&[][..], |record| &record.orphans);

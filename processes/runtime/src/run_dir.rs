@@ -150,6 +150,27 @@ impl RunDir {
         self.path.join("boxes").join(process.name())
     }
 
+    /// Where a process says that it is dying, and writes down why.
+    fn last_words(&self, process: ProcessId) -> PathBuf {
+        self.path.join("boxes").join(format!("{}.dying", process.name()))
+    }
+
+    /// A process says that it is dying: it needs a moment to write down why.
+    pub fn note_dying(&self, process: ProcessId) {
+        // Where this cannot be written, the report is cut short.
+        let _ = fs::write(self.last_words(process), []);
+    }
+
+    /// Whether a process has said that it is dying.
+    pub fn is_dying(&self, process: ProcessId) -> bool {
+        self.last_words(process).exists()
+    }
+
+    /// What a predecessor said does not concern its successor.
+    pub(crate) fn forget_dying(&self, process: ProcessId) {
+        let _ = fs::remove_file(self.last_words(process));
+    }
+
     /// Says who supervises the run, for its processes.
     ///
     /// # Errors

@@ -134,6 +134,7 @@ struct Supervised {
 
 /// The running graph.
 pub struct Supervision {
+    run: RunDir,
     policy: Policy,
     children: Vec<Supervised>,
     signals: SignalWatch,
@@ -156,7 +157,8 @@ impl Supervision {
         let now = host_now();
         let policy = Policy::new(commands.iter().map(|command| (command.process, command.rule)), now);
         let children = commands.into_iter().map(Supervised::new).collect();
-        let mut supervision = Self { policy, children, signals, groups: Vec::new(), happenings: Vec::new() };
+        let mut supervision =
+            Self { run: run.clone(), policy, children, signals, groups: Vec::new(), happenings: Vec::new() };
         orphans.iter().for_each(|orphan| supervision.adopt(run, orphan, now));
         let actions = supervision.policy.begin(now);
         supervision.carry_out(actions);
@@ -300,6 +302,11 @@ impl Supervision {
             let elapsed = now.saturating_since(child.looked);
             if let Some(running) = child.running.as_mut().filter(|_| is_quiet && elapsed > LOOK_EVERY) {
                 child.looked = now;
+                if self.run.is_dying(process) {
+                    // It needs a moment to write down why.
+                    seen.push((process, Event::Starved));
+                    continue;
+                }
                 match running.look(elapsed) {
                     Look::Halted => seen.push((process, Event::Halted)),
                     // What it did before it fell quiet says nothing: the first look only begins to count.

@@ -75,6 +75,7 @@ pub fn drive<P: Process>(mut process: P, run: &RunDir, rig: &StereoRig, options:
             ports.follow_flight_clock();
         }
     })?;
+    run.forget_dying(P::ID);
     ports.keep_black_box(run);
     ports.inject(Injection::new(&options.faults, P::ID, options.incarnation));
     let mut injection = Injection::new(&options.faults, P::ID, options.incarnation);
