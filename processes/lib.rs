@@ -31,6 +31,7 @@ mod fault_flight;
 mod fault_plan;
 mod fault_table;
 mod faults;
+mod flight_report;
 mod flight_run;
 mod fly;
 pub mod graph;
@@ -57,4 +58,4 @@ mod troubles;
 mod vehicle_config;
 pub mod voxels;
 
-pub use fly::report;
+pub use flight_report::report;

@@ -133,6 +133,11 @@ fn messages_sensors_and_machine_may_fail() {
     assert!(losses("planner", "missed") > 0, "lost keyframe sets: {}", flown.summary["losses"]);
     assert!(losses("memory", "dropped") > 1, "doubled images, damaged states: {}", flown.summary["losses"]);
     assert!(losses("recorder", "dropped") > 0, "what could not be written: {}", flown.summary["losses"]);
+    let second = run.log().with_extension("part2.mcap");
+    let second = fs::read(&second).expect("a second file, once there is room again");
+    assert!(
+        mcap::Summary::read(&second).expect("readable").expect("indexed").stats.expect("counted").message_count > 100
+    );
     let faulted: Vec<_> = events(&run).into_iter().filter(|line| line["message"] == "faulted").collect();
     for expected in ["frozen", "its file cannot be written"] {
         let is_said = |line: &Value| line["note"].as_str().is_some_and(|note| note.contains(expected));

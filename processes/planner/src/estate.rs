@@ -71,3 +71,76 @@ impl Planner {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fixtures::{FENCE, TAKE_OFF, before_a_wall, config, situation};
+    use crate::{Config, Situation};
+    use ipc_types::messages::PlanMode;
+
+    fn planner() -> Planner {
+        Planner::new(Config { lead_s: 0.0, ..config() }, FENCE, TAKE_OFF, 4.0)
+    }
+
+    fn goal(task: Task) -> Goal {
+        let position_m = [60.0, 0.0, 2.0];
+        Goal { position_m, cruise_speed_mps: 4.0, task: task as u32, ..Goal::zeroed() }
+    }
+
+    fn under_way(now_s: f64) -> Situation {
+        situation(now_s, Point::new(0.5 + now_s, 1.0, 2.0), Vector::new(2.0, 0.5, 0.0))
+    }
+
+    #[test]
+    fn a_successor_goes_on_with_the_plan_being_flown() {
+        let (view, mut first) = (before_a_wall(), planner());
+        for tick in 0..5 {
+            first.step(&under_way(0.1 * f64::from(tick)), &view);
+        }
+        assert!(first.flying.is_some(), "something is flown");
+        let mut places = Vec::new();
+        let estate = first.estate(goal(Task::Hover), FlightTime::from_secs_f64(0.4), &mut places);
+        let mut second = planner();
+        second.inherit(&estate, &places);
+        assert_eq!((second.flying, second.goal, second.replans()), (first.flying, first.goal, first.replans()));
+        let next = under_way(0.5);
+        first.step(&next, &view);
+        second.step(&next, &view);
+        assert_eq!(second.points(), first.points(), "the same plan");
+        assert_eq!(second.replans(), first.replans());
+    }
+
+    #[test]
+    fn what_is_too_old_or_makes_no_sense_is_not_flown_on() {
+        let (view, mut first) = (before_a_wall(), planner());
+        first.step(&under_way(0.0), &view);
+        let estate = first.estate(goal(Task::Hover), FlightTime::ZERO, &mut Vec::new());
+        let mut late = planner();
+        late.inherit(&estate, &[]);
+        late.lapse(FlightTime::from_secs_f64(5.0));
+        assert_eq!(late.flying, None);
+        for hostile in [
+            PlannerEstate { flown: 1, candidate: u64::MAX, ..estate },
+            PlannerEstate { flown: 2, first_mps: [f64::NAN; 3], ..estate },
+            PlannerEstate { flown: 7, ..estate },
+        ] {
+            let mut planner = planner();
+            planner.inherit(&hostile, &[EstatePlace { position_m: [f64::NAN; 3], dwelt_s: 1.0 }]);
+            assert_eq!(planner.flying, None, "{hostile:?}");
+            planner.step(&under_way(0.5), &view);
+        }
+    }
+
+    #[test]
+    fn to_stay_for_a_while_stops_the_vehicle_and_forgets_nothing() {
+        let (view, mut planner) = (before_a_wall(), planner());
+        planner.step(&under_way(0.0), &view);
+        planner.stuck.remember(Point::new(9.0, 0.0, 2.0), 3.0);
+        let stay = Situation { task: Task::Stay, ..under_way(0.1) };
+        assert_eq!(planner.step(&stay, &view).mode, PlanMode::Hold);
+        assert_eq!(planner.points().last().expect("points").velocity_mps, [0.0; 3]);
+        planner.step(&under_way(0.2), &view);
+        assert!(planner.stuck.remembered().any(|(_, dwelt_s)| dwelt_s == 3.0), "it remembers where it dwelt");
+    }
+}

@@ -205,23 +205,29 @@ impl Planner {
             self.turn(from, situation.yaw_rad, target_rad);
             return plan(PlanMode::LookAround);
         }
+        self.go(start, from, situation, view)
+    }
+
+    /// Goes on towards the goal, or looks where it wants to go, or has no plan.
+    fn go(&mut self, start: FlightTime, from: Sample, situation: &Situation, view: &View) -> Plan {
+        let plan = |mode, tally| Plan { start, mode, tally };
         let (tally, course) = self.choose(start, from, situation, view);
         match course {
             Course::None => {
                 let mode = self.no_plan(from, situation, view);
-                return Plan { tally, ..plan(mode) };
+                return plan(mode, tally);
             }
             Course::Look(heading_rad) => {
                 self.stuck.moving();
                 self.gaze.look(heading_rad, situation.now, situation.position);
                 self.turn(from, situation.yaw_rad, heading_rad);
-                return Plan { tally, ..plan(PlanMode::LookAround) };
+                return plan(PlanMode::LookAround, tally);
             }
             Course::StepBack(step) => {
                 self.stuck.moving();
                 self.gaze.step_back(step, situation.now, situation.position);
                 let mode = if self.step_back(step, from, situation, view) { PlanMode::BackOut } else { PlanMode::Hold };
-                return Plan { tally, ..plan(mode) };
+                return plan(mode, tally);
             }
             Course::Go(_) => self.stuck.moving(),
         }
@@ -229,7 +235,7 @@ impl Planner {
         let heading =
             |velocity| if follows { travel_heading(velocity, situation) } else { situation.goal_heading_rad() };
         self.write_points(situation.yaw_rad, heading);
-        Plan { tally, ..plan(PlanMode::Cruise) }
+        plan(PlanMode::Cruise, tally)
     }
 
     /// A new goal, or another thing to do there, forgives everything; so does a pilot, who decides for himself.

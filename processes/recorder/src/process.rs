@@ -4,10 +4,10 @@ use crate::encode;
 use crate::log::{LogError, LogWriter};
 use ipc_types::topics::{self, Topic};
 use ipc_types::wire::Header;
-use ipc_types::{FlightTime, ProcessId, StereoRig, for_each_topic};
+use ipc_types::{FlightTime, HostTime, ProcessId, StereoRig, for_each_topic};
 use runtime::{Connect, Message, Ports, Process, Report, host_now};
 use std::collections::{BTreeMap, HashMap};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 /// Flight time between drains.
@@ -15,18 +15,26 @@ const INTERVAL: Duration = Duration::from_millis(50);
 /// Host time between flushes.
 const FLUSH_INTERVAL: Duration = Duration::from_millis(500);
 
-/// Records a run.
+/// Between two attempts at a new file after one could not be written.
+const AGAIN: Duration = Duration::from_secs(1);
+
+/// Records a run. A file that cannot be written, for the disk is full, say, is left as it is; once it can be, a new one begins.
 #[derive(Debug)]
 pub struct RecorderProcess {
-    log: LogWriter,
-    channels: HashMap<&'static str, u16>,
+    /// Absent while nothing can be written.
+    log: Option<Log>,
+    path: PathBuf,
+    attachments: Vec<(String, String)>,
+    /// Files begun.
+    files: u32,
+    tried: HostTime,
     /// Last sequence per topic, producer and incarnation.
     sequences: HashMap<(&'static str, u32, u32), u64>,
     lost: BTreeMap<String, u64>,
     images: bool,
     width: usize,
     next: FlightTime,
-    flushed: ipc_types::HostTime,
+    flushed: HostTime,
     report: Report,
 }
 
@@ -36,26 +44,14 @@ impl RecorderProcess {
     /// # Errors
     /// The file cannot be created.
     pub fn create(path: &Path, attachments: &[(&str, &str)], images: bool, rig: &StereoRig) -> Result<Self, LogError> {
-        let mut log = LogWriter::create(path)?;
-        for (name, text) in attachments {
-            log.attach(name, text)?;
-        }
-        let mut channels = HashMap::new();
-        macro_rules! add {
-            ($($topic:ident),*) => {$(
-                let info = topics::$topic::INFO;
-                if !info.is_image {
-                    let schema = encode::schema::<topics::$topic>();
-                    channels.insert(info.name, log.add_channel(info.name, info.header_type, &schema)?);
-                } else if images {
-                    channels.insert(info.name, log.add_channel(info.name, "foxglove.RawImage", encode::IMAGE_SCHEMA)?);
-                }
-            )*};
-        }
-        for_each_topic!(add);
+        let attachments: Vec<_> =
+            attachments.iter().map(|(name, text)| ((*name).to_owned(), (*text).to_owned())).collect();
         Ok(Self {
-            log,
-            channels,
+            log: Some(Log::create(path, &attachments, images)?),
+            path: path.to_owned(),
+            attachments,
+            files: 1,
+            tried: host_now(),
             sequences: HashMap::new(),
             lost: BTreeMap::new(),
             images,
@@ -74,13 +70,17 @@ impl RecorderProcess {
             if stamp.sequence > expected {
                 *self.lost.entry(T::INFO.name.to_owned()).or_default() += stamp.sequence - expected;
             }
-            let Some(&channel) = self.channels.get(T::INFO.name) else { continue };
+            let Some(log) = &mut self.log else {
+                *self.lost.entry(T::INFO.name.to_owned()).or_default() += 1;
+                continue;
+            };
+            let Some(&channel) = log.channels.get(T::INFO.name) else { continue };
             let json = if T::INFO.is_image {
                 encode::image::<T>(message.header(), message.elements(), self.width)
             } else {
                 encode::message::<T>(message.header(), message.elements())
             };
-            self.log.write(channel, stamp.sequence, stamp.valid_ns, stamp.published_ns, &json)?;
+            log.writer.write(channel, stamp.sequence, stamp.valid_ns, stamp.published_ns, &json)?;
         }
         Ok(())
     }
@@ -101,7 +101,62 @@ impl RecorderProcess {
     fn end_log(&mut self) {
         let lost = self.lost.iter().map(|(topic, count)| (format!("lost {topic}"), count.to_string()));
         // The log is readable without its end; there is nobody left to tell.
-        let _ = self.log.finish(lost.collect());
+        let _ = self.log.as_mut().map(|log| log.writer.finish(lost.collect()));
+    }
+
+    /// The file cannot be written: it ends here.
+    fn fail(&mut self) -> Report {
+        self.log = None;
+        self.tried = host_now();
+        self.report.refuse("cannot write the log")
+    }
+
+    /// Begins a new file, `log.part2.mcap` and so on, if the last attempt is long enough ago.
+    fn begin_again(&mut self) {
+        if host_now().saturating_since(self.tried) < AGAIN {
+            return;
+        }
+        self.tried = host_now();
+        let path = self.path.with_extension(format!("part{}.mcap", self.files + 1));
+        match Log::create(&path, &self.attachments, self.images) {
+            Ok(log) => (self.log, self.files) = (Some(log), self.files + 1),
+            Err(_) => {
+                self.report.refuse("cannot write the log");
+            }
+        }
+    }
+}
+
+/// A file being written.
+#[derive(Debug)]
+struct Log {
+    writer: LogWriter,
+    channels: HashMap<&'static str, u16>,
+}
+
+impl Log {
+    fn create(path: &Path, attachments: &[(String, String)], images: bool) -> Result<Self, LogError> {
+        let mut writer = LogWriter::create(path)?;
+        for (name, text) in attachments {
+            writer.attach(name, text)?;
+        }
+        let mut channels = HashMap::new();
+        macro_rules! add {
+            ($($topic:ident),*) => {$(
+                let info = topics::$topic::INFO;
+                if !info.is_image {
+                    let schema = encode::schema::<topics::$topic>();
+                    channels.insert(info.name, writer.add_channel(info.name, info.header_type, &schema)?);
+                } else if images {
+                    let schema = encode::IMAGE_SCHEMA;
+                    channels.insert(info.name, writer.add_channel(info.name, "foxglove.RawImage", schema)?);
+                }
+            )*};
+        }
+        for_each_topic!(add);
+        // Not only in the buffer: a disk that is still full is to show here.
+        writer.flush()?;
+        Ok(Self { writer, channels })
     }
 }
 
@@ -131,16 +186,17 @@ impl Process for RecorderProcess {
         }
         self.next = ports.now() + INTERVAL;
         match self.drain_all(ports) {
+            Ok(()) if self.log.is_none() => self.report.degraded("without a log: what is published is not recorded"),
             Ok(()) => self.report.worked(),
             // Full disk, or a file that went away: the flight goes on without its log, and says so.
-            Err(_) => self.report.refuse("cannot write the log"),
+            Err(_) => self.fail(),
         }
     }
 
     fn finish<P: Ports>(&mut self, ports: &mut P) {
         // What was published while the others were stopping.
         if self.drain_all(ports).is_err() {
-            self.report.refuse("cannot write the log");
+            self.fail();
         }
     }
 
@@ -151,8 +207,12 @@ impl Process for RecorderProcess {
     fn housekeep(&mut self) {
         if host_now().saturating_since(self.flushed) >= FLUSH_INTERVAL {
             self.flushed = host_now();
-            if self.log.flush().is_err() {
-                self.report.refuse("cannot write the log");
+            match self.log.as_mut().map(|log| log.writer.flush()) {
+                Some(Ok(())) => {}
+                Some(Err(_)) => {
+                    self.fail();
+                }
+                None => self.begin_again(),
             }
         }
     }
