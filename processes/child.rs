@@ -63,7 +63,7 @@ pub fn run(arguments: &ChildArguments) -> Result<(), Box<dyn Error>> {
     let lease = Duration::from_secs_f64(config.graph.lease_s);
     let (process, incarnation) = (arguments.process, arguments.incarnation);
     crash::report_panics(&run, &arguments.run_dir, process, incarnation);
-    let _log = logging::begin(&arguments.run_dir, &arguments.run, process, incarnation)?;
+    let _log = logging::begin(&arguments.run_dir, &arguments.run, process, incarnation);
     for refused in config.graph.resources(process).apply() {
         tracing::warn!(refused, "not permitted");
         say(format_args!("{process}: {refused}"));
@@ -105,7 +105,12 @@ pub fn run(arguments: &ChildArguments) -> Result<(), Box<dyn Error>> {
                 restart => format!("log.{restart}.mcap"),
             };
             let log = arguments.run_dir.join(name);
-            drive(RecorderProcess::create(&log, &attachments, config.record_images, rig)?, &run, rig, options)?;
+            let recorder = match arguments.incarnation {
+                0 => RecorderProcess::create(&log, &attachments, config.record_images, rig)?,
+                // The disk that its predecessor died of may be full still.
+                _ => RecorderProcess::resume(&log, &attachments, config.record_images, rig),
+            };
+            drive(recorder, &run, rig, options)?;
         }
         ProcessId::Supervisor => return Err("the supervisor is `sparrowhawk fly`".into()),
     }

@@ -48,7 +48,8 @@ pub(crate) enum Verdict {
 #[derive(Clone, Debug)]
 pub(crate) struct Flown {
     pub(crate) verdict: Verdict,
-    pub(crate) summary: Summary,
+    /// Absent if it left none.
+    pub(crate) summary: Option<Summary>,
     /// Files in shared memory, processes alive and zombies that it left behind.
     pub(crate) leaked: usize,
 }
@@ -57,7 +58,7 @@ impl FaultFlight {
     /// Flies with these faults.
     ///
     /// # Errors
-    /// It cannot be started, or leaves no summary.
+    /// It cannot be started.
     pub(crate) fn fly(&self, faults: &[Fault]) -> Result<Flown, Box<dyn Error>> {
         fs::create_dir_all(&self.folder)?;
         let file = self.folder.join(format!("{}.ron", self.name));
@@ -81,10 +82,10 @@ impl FaultFlight {
             takeovers += 1;
             status = command(true)?.status()?;
         }
-        let text = fs::read_to_string(&summary_file)?;
-        let summary: Summary = serde_json::from_str(&text)
-            .map_err(|error| format!("{}: no summary ({status}): {error}", summary_file.display()))?;
-        let verdict = verdict(&summary);
+        // A flight that leaves no account has failed, whatever it flew.
+        let text = fs::read_to_string(&summary_file).unwrap_or_default();
+        let summary: Option<Summary> = serde_json::from_str(&text).ok();
+        let verdict = summary.as_ref().map_or(Verdict::Failed, verdict);
         Ok(Flown { verdict, summary, leaked: leaked(&self.name)? })
     }
 
@@ -122,12 +123,12 @@ impl FaultFlight {
 fn verdict(summary: &Summary) -> Verdict {
     let waited = summary.faults.iter().filter_map(|fault| fault.clock_ratio).any(|ratio| ratio < CLOCK_RATIO);
     match summary.outcome {
-        Outcome::Collided => Verdict::Failed,
+        Outcome::Collided | Outcome::ProcessLost => Verdict::Failed,
         _ if waited => Verdict::Void,
         Outcome::Arrived => Verdict::Arrived,
         Outcome::HandedBack | Outcome::GaveUp => Verdict::Hovered,
         Outcome::TimedOut => Verdict::Late,
-        Outcome::Interrupted | Outcome::ProcessLost => Verdict::Failed,
+        Outcome::Interrupted => Verdict::Failed,
     }
 }
 

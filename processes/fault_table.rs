@@ -1,6 +1,7 @@
 //! What a fault campaign came to: a row for every fault, and a table of fault × victim.
 
 use crate::fault_flight::{Flown, Verdict};
+use ipc_types::messages::Rung;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -39,37 +40,39 @@ pub(crate) const NONE: &str = "none";
 
 /// The rows of a flight.
 pub(crate) fn rows(plan: &str, seed: u64, flown: &Flown, version: &str) -> Vec<FaultRow> {
-    let summary = &flown.summary;
-    let soon = |from_s: f64, at_s: f64| (from_s - 0.02..from_s + CONSEQUENCE_S).contains(&at_s);
-    let row = |fault: &supervisor::FaultSummary| {
-        let death = summary.deaths.iter().find(|death| death.process == fault.victim && soon(fault.at_s, death.at_s));
-        let depth =
-            |rung: &str| ["full", "single frame", "slower", "hover", "hand back"].iter().position(|r| *r == rung);
-        let rungs = summary.degradation.iter().filter(|step| soon(fault.at_s, step.at_s));
-        let rung = rungs.max_by_key(|step| depth(&step.rung)).map_or("full", |step| &step.rung);
-        FaultRow {
-            plan: plan.to_owned(),
-            seed,
-            at_s: fault.at_s,
-            fault: fault.fault.clone(),
-            victim: fault.victim.clone(),
-            verdict: flown.verdict,
-            detected_ms: death.map(|death| 1e3 * (death.at_s - fault.at_s).max(0.0)),
-            recovered_ms: death.and_then(|death| death.recovered_ms),
-            rung: rung.to_owned(),
-            clock_ratio: fault.clock_ratio,
-            min_clearance_m: summary.min_clearance_m,
-            flight_time_s: summary.flight_time_s,
-            takeovers: summary.takeovers,
-            restarts: summary.restarts,
-            leaked: flown.leaked,
-            version: version.to_owned(),
-        }
-    };
     // A flight that ended before anything was injected counts, too.
     let none = supervisor::FaultSummary { at_s: 0.0, fault: NONE.to_owned(), victim: String::new(), clock_ratio: None };
-    let none = summary.faults.is_empty().then_some(none);
-    summary.faults.iter().chain(&none).map(row).collect()
+    let faults = flown.summary.as_ref().map_or(&[][..], |summary| &summary.faults);
+    let none = faults.is_empty().then_some(none);
+    faults.iter().chain(&none).map(|fault| row((plan, seed), flown, fault, version)).collect()
+}
+
+fn row((plan, seed): (&str, u64), flown: &Flown, fault: &supervisor::FaultSummary, version: &str) -> FaultRow {
+    let summary = flown.summary.as_ref();
+    let soon = |at_s: f64| (fault.at_s - 0.02..fault.at_s + CONSEQUENCE_S).contains(&at_s);
+    let deaths = summary.map_or(&[][..], |summary| &summary.deaths);
+    let death = deaths.iter().find(|death| death.process == fault.victim && soon(death.at_s));
+    let depth = |name: &str| Rung::ALL.iter().position(|rung| rung.name() == name);
+    let steps = summary.map_or(&[][..], |summary| &summary.degradation);
+    let deepest = steps.iter().filter(|step| soon(step.at_s)).max_by_key(|step| depth(&step.rung));
+    FaultRow {
+        plan: plan.to_owned(),
+        seed,
+        at_s: fault.at_s,
+        fault: fault.fault.clone(),
+        victim: fault.victim.clone(),
+        verdict: flown.verdict,
+        detected_ms: death.map(|death| 1e3 * (death.at_s - fault.at_s).max(0.0)),
+        recovered_ms: death.and_then(|death| death.recovered_ms),
+        rung: deepest.map_or(Rung::Full.name(), |step| &step.rung).to_owned(),
+        clock_ratio: fault.clock_ratio,
+        min_clearance_m: summary.and_then(|summary| summary.min_clearance_m),
+        flight_time_s: summary.map_or(0.0, |summary| summary.flight_time_s),
+        takeovers: summary.map_or(0, |summary| summary.takeovers),
+        restarts: summary.map_or(0, |summary| summary.restarts),
+        leaked: flown.leaked,
+        version: version.to_owned(),
+    }
 }
 
 /// p50, p99 and longest; empty of nothing.

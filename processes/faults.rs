@@ -114,14 +114,10 @@ fn fly(
     let rows = rows(&plan.name(), seed, &flown, VERSION);
     append(&arguments.out, &rows)?;
     table.extend(rows);
-    let came = flown.summary.faults.len();
+    let came = flown.summary.as_ref().map_or(drawn.len(), |summary| summary.faults.len());
+    let outcome = flown.summary.as_ref().map(|summary| summary.outcome);
     if flown.verdict == Verdict::Failed {
-        bar.println(format!(
-            "{} {seed}: {:?} after {came} faults: {}",
-            plan.name(),
-            flown.summary.outcome,
-            flight.name
-        ));
+        bar.println(format!("{} {seed}: {:?} after {came} faults: {}", plan.name(), outcome, flight.name));
         if arguments.shrink {
             let tell = |left| bar.set_message(format!("shrinking: {left} faults left"));
             let shortest = flight.shrink(&drawn[..came.min(drawn.len())], tell)?;

@@ -64,7 +64,7 @@ pub(crate) fn fly(
     // First of all: the children's lease runs.
     run.name_supervisor(std::process::id())?;
     let takeovers = before.map_or(0, |record| record.takeovers + 1);
-    let _log = logging::begin(files.folder(), run.name(), ProcessId::Supervisor, takeovers)?;
+    let _log = logging::begin(files.folder(), run.name(), ProcessId::Supervisor, takeovers);
     let services = Services::hold(run)?;
     let mut mission = Mission::new(config.mission.clone(), config.graph.ladder);
     before.into_iter().for_each(|record| mission.resume(record.passed, record.step()));

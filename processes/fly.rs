@@ -71,7 +71,7 @@ pub(crate) struct FlyArguments {
     #[arg(long, value_name = "FILE", conflicts_with = "lockstep")]
     pub(crate) faults: Option<PathBuf>,
     /// Take over the run of that name if its supervisor has died and its processes still fly; all else is as that run was
-    /// started. If there is none, start it.
+    /// started. If there is none, start it, with a run directory of its own each time: what a service does.
     #[arg(long, requires = "run", conflicts_with = "lockstep")]
     pub(crate) adopt: bool,
     /// Record images too.
@@ -122,21 +122,27 @@ const NOT_TAKEN_OVER: u8 = 3;
 
 /// Flies; the exit code says whether it arrived.
 pub(crate) fn fly(arguments: &FlyArguments) -> Result<ExitCode, Box<dyn Error>> {
-    let config = arguments.configuration()?;
     let signals = SignalWatch::begin()?;
     let name = arguments.run.clone().unwrap_or_else(fresh_name);
     let run = RunDir::named(&name)?;
-    if arguments.adopt
-        && let Some(lock) = run.take_over()?
-    {
-        // Another exit status than that of a flight that is over: whoever restarts this is to try again.
-        return take_over(arguments, &run, lock, signals).or_else(|error| {
-            say(format_args!("cannot take over run \"{name}\", which flies on without a supervisor: {error}"));
+    if arguments.adopt {
+        // Before the configuration is read: what flies does not depend on what it says today. And with another exit status than
+        // that of a flight that is over, so that whoever restarts this tries again.
+        let refused = |error: Box<dyn Error>| {
+            say(format_args!("cannot take over run \"{name}\": {error}"));
             Ok(ExitCode::from(NOT_TAKEN_OVER))
-        });
+        };
+        match run.take_over() {
+            Ok(Some(lock)) => return take_over(arguments, &run, lock, signals).or_else(refused),
+            Ok(None) => {}
+            Err(error) => return refused(error.into()),
+        }
     }
+    let config = arguments.configuration()?;
     let lock = run.take()?;
-    let files = RunFiles::create(&arguments.run_dir, &name, &config, arguments.summary.as_deref())?;
+    // A service flies again and again under one name: every flight has a folder of its own.
+    let folder = if arguments.adopt { format!("{name}-{}", fresh_name()) } else { name.clone() };
+    let files = RunFiles::create(&arguments.run_dir, &folder, &config, arguments.summary.as_deref())?;
     let summary = match arguments.lockstep {
         true => fly_in_lockstep(&config, &files, &arguments.draw)?,
         false => flight_run::fly(&config, &run, &files, signals, None)?,

@@ -71,11 +71,15 @@ impl Injector {
         if self.is_last_round {
             signal(ProcessId::Supervisor, children, Signal::KILL);
         }
+        // Without a truth it is not known yet what the world has lost.
+        if mission.truth().is_none() {
+            return;
+        }
         let now_s = mission.now().as_secs_f64();
         let lost_s = lost_s(mission);
         for Injected { summary, lost_s: lost_before_s } in &mut self.injected {
             let passed_s = now_s - summary.at_s;
-            if summary.clock_ratio.is_none() && passed_s >= CLOCK_S && mission.truth().is_some() {
+            if summary.clock_ratio.is_none() && passed_s >= CLOCK_S {
                 summary.clock_ratio = Some(passed_s / (passed_s + lost_s - *lost_before_s));
             }
         }

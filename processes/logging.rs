@@ -1,13 +1,13 @@
 //! The run's log: what happened, one JSON object a line, with run, process and incarnation; flight time where there is one.
 //!
 //! Every process appends to the same file in the run directory, by a thread of its own: no step waits for a disk. A line is
-//! written whole, so lines of different processes do not mix. When the disk is full, or so slow that thousands of lines wait,
+//! written whole, so lines of different processes do not mix. When the disk is full, or so slow that a hundred thousand lines wait,
 //! the flight goes on without them.
 
 use crate::run_files::EVENTS;
+use crate::say::say;
 use ipc_types::ProcessId;
 use std::fs::OpenOptions;
-use std::io;
 use std::path::Path;
 use tracing::span::EnteredSpan;
 use tracing_appender::non_blocking::WorkerGuard;
@@ -19,12 +19,12 @@ pub(crate) struct Log {
     _worker: WorkerGuard,
 }
 
-/// Begins to log what this process does; what is returned is to be kept for as long as it does.
-///
-/// # Errors
-/// The file cannot be opened.
-pub(crate) fn begin(folder: &Path, run: &str, process: ProcessId, incarnation: u32) -> io::Result<Log> {
-    let file = OpenOptions::new().create(true).append(true).open(folder.join(EVENTS))?;
+/// Begins to log what this process does; what is returned is to be kept for as long as it does. Where the file cannot be opened
+/// the process does without, and says so.
+pub(crate) fn begin(folder: &Path, run: &str, process: ProcessId, incarnation: u32) -> Option<Log> {
+    let path = folder.join(EVENTS);
+    let opened = OpenOptions::new().create(true).append(true).open(&path);
+    let file = opened.inspect_err(|error| say(format_args!("{process}: no log: {}: {error}", path.display()))).ok()?;
     let (writer, worker) = tracing_appender::non_blocking(file);
     let subscriber = tracing_subscriber::fmt()
         .json()
@@ -38,5 +38,5 @@ pub(crate) fn begin(folder: &Path, run: &str, process: ProcessId, incarnation: u
     // Another flight of this very process has begun one already: a test's, say.
     let _ = tracing::subscriber::set_global_default(subscriber);
     let span = tracing::info_span!("process", run, process = process.name(), incarnation).entered();
-    Ok(Log { _span: span, _worker: worker })
+    Some(Log { _span: span, _worker: worker })
 }

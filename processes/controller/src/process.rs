@@ -22,12 +22,16 @@ pub struct ControllerProcess {
     interval: Duration,
     next: FlightTime,
     started: bool,
+    /// When it could first have asked for anything.
+    first: Option<FlightTime>,
     estate: Vec<u16>,
     report: Report,
 }
 
 /// An estate that is older than this is not gone on from, s: the vehicle has been braked meanwhile.
 const LAPSES_S: f64 = 1.0;
+/// So long a first state is waited for, s.
+const AWAITED_S: f64 = 0.1;
 /// So long a flight control unit surely goes on with the last setpoint, s.
 const FOLLOWED_S: f64 = 0.2;
 
@@ -40,6 +44,7 @@ impl ControllerProcess {
             reference: None,
             trajectory: Trajectory::zeroed(),
             started: false,
+            first: None,
             estate: Vec::new(),
             interval: Duration::from_secs_f64(1.0 / config.rate_hz),
             next: FlightTime::ZERO,
@@ -137,7 +142,13 @@ impl Process for ControllerProcess {
         if now < self.next || now == FlightTime::ZERO {
             return self.report.idle();
         }
-        if !std::mem::replace(&mut self.started, true) {
+        if !self.started {
+            // The flight control unit goes on with what a predecessor asked for last; a state is here in a moment.
+            let first = *self.first.get_or_insert(now);
+            if self.state.is_none() && now.seconds_since(first) < AWAITED_S {
+                return self.report.idle();
+            }
+            self.started = true;
             self.inherit(ports);
         }
         // On the beat, unless one was missed altogether.

@@ -143,7 +143,7 @@ impl MemoryProcess {
             // What a camera that is frozen by now shows again.
             if let Some((newest, image)) = self.graph.newest().and_then(|node| Some((node, images.get(node.image_id)?)))
             {
-                self.frozen = Frozen::since(digest(&image), newest.world_from_camera);
+                self.frozen = Frozen::since(digest(&image, self.layout.cells()), newest.world_from_camera);
             }
             self.path.extend(record.path.into_iter().take(PATH_LENGTH));
             self.state = record.state;
@@ -269,7 +269,7 @@ impl MemoryProcess {
         match ports.images().put(id, image.elements()) {
             Ok(()) => {
                 self.pending = Some((id, exposure));
-                self.digest = digest(image.elements());
+                self.digest = digest(image.elements(), self.layout.cells());
             }
             Err(error) if error.kind() != ErrorKind::StorageFull => {
                 self.lost.not_stored += 1;

@@ -160,7 +160,8 @@ impl Planner {
             return plan(PlanMode::Hold);
         }
         if situation.task == Task::Stay {
-            // Told to stop, it stops as the map says is best.
+            // Told to stop, it stops as the map says is best; that it gets nowhere meanwhile is no fault of the place.
+            self.stuck.stays(situation.now);
             self.stop(from, situation.yaw_rad, view);
             return plan(PlanMode::Hold);
         }
@@ -250,7 +251,9 @@ impl Planner {
             Some((_, before)) if situation.task == Task::Stay => before,
             _ => situation.task,
         };
-        if is_new || situation.piloted || self.goal.is_none_or(|(_, before)| before != task) {
+        // Nor is to go on after it.
+        let is_other = self.goal.is_none_or(|(_, before)| before != task && before != Task::Stay);
+        if is_new || situation.piloted || is_other {
             self.stuck.reset();
             self.gaze.reset();
             // The library's candidates are named relative to the goal, and the vehicle is not where they would have led.

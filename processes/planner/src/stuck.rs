@@ -109,6 +109,14 @@ impl Stuck {
         }
     }
 
+    /// The vehicle was told to stay: neither progress nor patience is asked of it.
+    pub(crate) fn stays(&mut self, now: FlightTime) {
+        (self.anchor, self.progressed, self.noted) = (None, now, Some(now));
+        if self.stage != Stage::GivenUp {
+            self.stage = Stage::Moving;
+        }
+    }
+
     /// A new goal forgives everything, but what walled the vehicle in is no truer for it.
     pub(crate) fn reset(&mut self) {
         *self = Self { disregards_before: self.disregards_before, ..Self::new() };

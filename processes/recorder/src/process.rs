@@ -18,6 +18,9 @@ const FLUSH_INTERVAL: Duration = Duration::from_millis(500);
 /// Between two attempts at a new file after one could not be written.
 const AGAIN: Duration = Duration::from_secs(1);
 
+/// What was written and not flushed when a file failed, of whatever topic.
+const UNFLUSHED: &str = "unflushed";
+
 /// Records a run. A file that cannot be written, for the disk is full, say, is left as it is; once it can be, a new one begins.
 #[derive(Debug)]
 pub struct RecorderProcess {
@@ -27,6 +30,8 @@ pub struct RecorderProcess {
     attachments: Vec<(String, String)>,
     /// Files begun.
     files: u32,
+    /// Messages written since the last flush.
+    unflushed: u64,
     tried: HostTime,
     /// Last sequence per topic, producer and incarnation.
     sequences: HashMap<(&'static str, u32, u32), u64>,
@@ -44,13 +49,26 @@ impl RecorderProcess {
     /// # Errors
     /// The file cannot be created.
     pub fn create(path: &Path, attachments: &[(&str, &str)], images: bool, rig: &StereoRig) -> Result<Self, LogError> {
-        let attachments: Vec<_> =
-            attachments.iter().map(|(name, text)| ((*name).to_owned(), (*text).to_owned())).collect();
-        Ok(Self {
-            log: Some(Log::create(path, &attachments, images)?),
+        let mut recorder = Self::without_log(path, attachments, images, rig);
+        recorder.log = Some(Log::create(path, &recorder.attachments, images)?);
+        Ok(recorder)
+    }
+
+    /// As a successor: where the file cannot be created, for what its predecessor died of, a new one begins once it can be.
+    pub fn resume(path: &Path, attachments: &[(&str, &str)], images: bool, rig: &StereoRig) -> Self {
+        let mut recorder = Self::without_log(path, attachments, images, rig);
+        recorder.log = Log::create(path, &recorder.attachments, images).ok();
+        recorder
+    }
+
+    fn without_log(path: &Path, attachments: &[(&str, &str)], images: bool, rig: &StereoRig) -> Self {
+        let attachments = attachments.iter().map(|(name, text)| ((*name).to_owned(), (*text).to_owned())).collect();
+        Self {
+            log: None,
             path: path.to_owned(),
             attachments,
             files: 1,
+            unflushed: 0,
             tried: host_now(),
             sequences: HashMap::new(),
             lost: BTreeMap::new(),
@@ -59,7 +77,7 @@ impl RecorderProcess {
             next: FlightTime::ZERO,
             flushed: host_now(),
             report: Report::waiting("starting"),
-        })
+        }
     }
 
     fn drain<T: Topic>(&mut self, ports: &mut impl Ports) -> Result<(), LogError> {
@@ -72,6 +90,7 @@ impl RecorderProcess {
             }
             let Some(log) = &mut self.log else {
                 *self.lost.entry(T::INFO.name.to_owned()).or_default() += 1;
+                self.report.dropped += 1;
                 continue;
             };
             let Some(&channel) = log.channels.get(T::INFO.name) else { continue };
@@ -80,6 +99,7 @@ impl RecorderProcess {
             } else {
                 encode::message::<T>(message.header(), message.elements())
             };
+            self.unflushed += 1;
             log.writer.write(channel, stamp.sequence, stamp.valid_ns, stamp.published_ns, &json)?;
         }
         Ok(())
@@ -106,6 +126,10 @@ impl RecorderProcess {
 
     /// The file cannot be written: it ends here.
     fn fail(&mut self) -> Report {
+        // What was not on disk yet may be lost, too.
+        let lost = std::mem::take(&mut self.unflushed);
+        *self.lost.entry(UNFLUSHED.to_owned()).or_default() += lost;
+        self.report.dropped += lost;
         self.log = None;
         self.tried = host_now();
         self.report.refuse("cannot write the log")
@@ -208,7 +232,7 @@ impl Process for RecorderProcess {
         if host_now().saturating_since(self.flushed) >= FLUSH_INTERVAL {
             self.flushed = host_now();
             match self.log.as_mut().map(|log| log.writer.flush()) {
-                Some(Ok(())) => {}
+                Some(Ok(())) => self.unflushed = 0,
                 Some(Err(_)) => {
                     self.fail();
                 }

@@ -18,12 +18,15 @@ use rustix::fs::{FlockOperation, flock};
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
 use xxhash_rust::xxh3::xxh3_64;
 
 /// The file system that iceoryx2 puts its segments on.
 const SHARED_MEMORY: &str = "/dev/shm";
 /// Longest run name: with the user's number and iceoryx2's own names, event sockets stay below 108 bytes.
 pub const MAX_RUN_NAME: usize = 24;
+/// Whoever holds a claim has written who it is within this time.
+const CLAIMED_WITHIN: Duration = Duration::from_millis(100);
 /// Free shared memory a run needs, bytes. iceoryx2 ends in SIGBUS when it runs out later.
 const NEEDED_BYTES: u64 = 256 << 20;
 
@@ -290,11 +293,24 @@ impl RunDir {
     pub fn living(&self, process: ProcessId) -> Option<(u32, u32)> {
         let path = self.claim(process);
         let file = File::open(&path).ok()?;
-        if flock(&file, FlockOperation::NonBlockingLockShared).is_ok() {
-            return None; // Nobody holds it.
+        let began = Instant::now();
+        while flock(&file, FlockOperation::NonBlockingLockShared).is_err() {
+            // Held, and written a moment later.
+            if let Some((number, incarnation)) = self.last_claim(process) {
+                return Some((number, incarnation));
+            }
+            if began.elapsed() > CLAIMED_WITHIN {
+                return None;
+            }
+            std::thread::yield_now();
         }
-        let text = fs::read_to_string(&path).ok()?;
-        let (number, incarnation) = text.trim().split_once(' ')?;
+        None // Nobody holds it.
+    }
+
+    /// Number and incarnation of the last process of that name, alive or dead.
+    pub fn last_claim(&self, process: ProcessId) -> Option<(u32, u32)> {
+        let text = fs::read_to_string(self.claim(process)).ok()?;
+        let (number, incarnation) = text.strip_suffix('\n')?.split_once(' ')?;
         Some((number.parse().ok()?, incarnation.parse().ok()?))
     }
 

@@ -109,8 +109,10 @@ struct Member {
     incarnation: u32,
     /// When the phase began.
     since: HostTime,
-    /// When it was last started.
-    started: HostTime,
+    /// When it was first heard.
+    running_since: Option<HostTime>,
+    /// For how long it had been doing its work when it was told to end.
+    worked: Duration,
     deaths: Vec<HostTime>,
     /// The last heartbeat, or when its absence began to count.
     beat: HostTime,
@@ -155,7 +157,8 @@ impl Policy {
             phase: Phase::Stopped,
             incarnation: 0,
             since: now,
-            started: now,
+            running_since: None,
+            worked: Duration::ZERO,
             deaths: Vec::new(),
             beat: now,
             heard: now,
@@ -230,7 +233,10 @@ impl Policy {
         let is_current = |incarnation: u32| member.incarnation == incarnation && member.phase.is_live();
         match event {
             Event::Adopted { incarnation, deaths } if !member.phase.is_live() => {
-                (member.incarnation, member.deaths) = (incarnation, deaths);
+                // Since when it has lived is not on record; what lies further back than a window it has lived down.
+                let recent = |death: &HostTime| now.saturating_since(*death) < member.rule.window();
+                (member.incarnation, member.deaths) = (incarnation, deaths.into_iter().filter(recent).collect());
+                member.running_since = Some(now);
                 member.enter(Phase::Running, now);
             }
             Event::Left { incarnation, deaths, given_up } if !member.phase.is_live() => {
@@ -242,6 +248,7 @@ impl Policy {
             Event::Beat(incarnation) if is_current(incarnation) => {
                 (member.beat, member.heard) = (now, now);
                 if member.phase == Phase::Starting {
+                    member.running_since = Some(now);
                     member.enter(Phase::Running, now);
                 }
             }
@@ -310,14 +317,17 @@ impl Policy {
         if let Some(at) = member.anew_at.take() {
             return member.enter(Phase::BackingOff(at.max(now)), now);
         }
-        // Whoever has lived for a whole window is well again, and begins to count anew.
-        if now.saturating_since(member.started) >= rule.window() {
+        // Whoever has done its work for a whole window is well again, and begins to count anew.
+        if member.phase == Phase::Running {
+            member.worked = member.working_until(now);
+        }
+        if member.worked >= rule.window() {
             member.deaths.clear();
         }
         member.deaths.push(now);
         let deaths = member.deaths.len() as u32;
         if deaths > rule.most {
-            let reason = format!("{how}; it died {deaths} times without living for {} s in between", rule.window_s);
+            let reason = format!("{how}; it died {deaths} times without working for {} s in between", rule.window_s);
             member.enter(Phase::GivenUp(reason.clone()), now);
             return actions.push(Action::GaveUp(process, reason));
         }
@@ -347,13 +357,20 @@ impl Member {
     fn start(&mut self, now: HostTime, actions: &mut Vec<Action>) {
         (self.why, self.anew_at) = (None, None);
         self.enter(Phase::Starting, now);
-        self.started = now;
+        (self.running_since, self.worked) = (None, Duration::ZERO);
         actions.push(Action::Start(self.process, self.incarnation));
+    }
+
+    /// For how long it has been doing its work until then.
+    fn working_until(&self, until: HostTime) -> Duration {
+        self.running_since.map_or(Duration::ZERO, |since| until.saturating_since(since))
     }
 
     /// Told to end, if it lives and was not told yet.
     fn end(&mut self, now: HostTime, actions: &mut Vec<Action>) {
         if matches!(self.phase, Phase::Starting | Phase::Running) {
+            // To its last output, if it has fallen silent.
+            self.worked = self.working_until(self.output);
             self.enter(Phase::Ending { is_killed: false }, now);
             actions.push(Action::Terminate(self.process));
         }
@@ -361,6 +378,9 @@ impl Member {
 
     fn kill(&mut self, now: HostTime, why: String, actions: &mut Vec<Action>) {
         self.why.get_or_insert_with(|| why.clone());
+        if self.phase == Phase::Running {
+            self.worked = self.working_until(self.heard);
+        }
         self.enter(Phase::Ending { is_killed: true }, now);
         actions.push(Action::Kill(self.process, why));
     }

@@ -38,9 +38,9 @@ pub struct Rule {
     pub first_ms: u64,
     /// Longest wait, ms.
     pub longest_ms: u64,
-    /// Who has lived for so long is well again: deaths before that do not count, s.
+    /// Who has done its work for so long is well again: deaths before that do not count, s.
     pub window_s: f64,
-    /// More deaths than this without living for a window in between, and the process is given up.
+    /// More deaths than this without working for a window in between, and the process is given up.
     pub most: u32,
     /// Longest time from its start to its first heartbeat, s.
     pub start_up_s: f64,

@@ -20,6 +20,8 @@ const LOOK_AFTER: Duration = Duration::from_millis(120);
 const LOOK_EVERY: Duration = Duration::from_millis(50);
 /// What has not ended so long after it was killed never will.
 const UNKILLABLE: Duration = Duration::from_secs(10);
+/// A killed stray ends within this time.
+const STRAY_ENDS: Duration = Duration::from_millis(100);
 /// Between two samples of what a process uses.
 const SAMPLE_EVERY: Duration = Duration::from_secs(1);
 /// Recoveries that are remembered of a process.
@@ -171,11 +173,14 @@ impl Supervision {
         let deaths = orphan.deaths_ns.iter().map(|&ns| HostTime::from_nanos(ns)).collect();
         // The record may be older than the last restart; who holds the process' claim lives.
         let living = run.living(orphan.process);
-        child.running = living.and_then(|(number, _)| Running::adopt(number));
+        // Asked again once it is watched: until then its number could have passed to another.
+        let adopted = living.and_then(|(number, _)| Running::adopt(number));
+        child.running = adopted.filter(|_| run.living(orphan.process) == living);
         let event = match (living, &child.running) {
             (Some((_, incarnation)), Some(_)) => Event::Adopted { incarnation, deaths },
             _ => {
-                let (incarnation, given_up) = (orphan.incarnation, orphan.given_up.clone());
+                let last = run.last_claim(orphan.process).map_or(0, |(_, incarnation)| incarnation);
+                let (incarnation, given_up) = (orphan.incarnation.max(last), orphan.given_up.clone());
                 Event::Left { incarnation, deaths, given_up }
             }
         };
@@ -348,6 +353,11 @@ impl Supervision {
         let Some(child) = self.children.iter_mut().find(|child| child.command.process == process) else {
             return Ok(());
         };
+        // One that nobody knew of, for its supervisor died as it was started. Two must not fly.
+        if let Some(stray) = self.run.living(process).and_then(|(number, _)| Running::adopt(number)) {
+            stray.signal(Signal::KILL);
+            wait_any([&stray], STRAY_ENDS);
+        }
         let mut arguments = child.command.arguments.clone();
         arguments.extend(["--incarnation".to_owned(), incarnation.to_string()]);
         child.restarts += u32::from(incarnation > 0);

@@ -274,6 +274,40 @@ fn a_crash_loop_backs_off_and_is_given_up_with_the_reason() {
     assert!(waits.iter().max().expect("waits") >= &Duration::from_millis(140), "{waits:?}");
 }
 
+/// Neither what never comes up nor what is silent from the start goes on for ever, however long it takes to notice.
+#[test]
+fn what_takes_as_long_to_fail_as_it_would_to_be_well_is_given_up() {
+    let now = HostTime::from_secs_f64(100.0);
+    let slow = Rule { start_up_s: 10.0, output_s: 6.0, window_s: 5.0, most: 2, ..rule(ProcessId::Planner) };
+    for beats in [false, true] {
+        let mut policy = Policy::new([(ProcessId::Memory, rule(ProcessId::Memory)), (ProcessId::Planner, slow)], now);
+        let mut actions = policy.begin(now);
+        let (mut tick, mut given_up) = (0, false);
+        while !given_up && tick < 20_000 {
+            tick += 1;
+            let at = now + TICK * tick;
+            for (process, is_silent) in [(ProcessId::Memory, false), (ProcessId::Planner, true)] {
+                let incarnation = policy.incarnation(process).expect("a member");
+                if beats || !is_silent {
+                    policy.happened(at, process, Event::Beat(incarnation));
+                }
+                if !is_silent {
+                    policy.happened(at, process, Event::Output(incarnation));
+                }
+            }
+            actions.extend(policy.tick(at));
+            for action in std::mem::take(&mut actions) {
+                if let Action::Kill(process, _) | Action::Terminate(process) = action {
+                    let incarnation = policy.incarnation(process).expect("a member");
+                    actions.extend(policy.happened(at, process, Event::Exited(incarnation, "ended".to_owned())));
+                }
+            }
+            given_up = matches!(policy.phase(ProcessId::Planner), Some(Phase::GivenUp(_)));
+        }
+        assert!(given_up, "beats: {beats}: it goes on for ever");
+    }
+}
+
 #[test]
 fn what_hangs_is_killed_in_time_and_what_is_silent_is_told_first() {
     for (fate, least_ms, most_ms) in [(Fate::Halts, 0, 40), (Fate::Hangs, 240, 290), (Fate::FallsSilent, 590, 900)] {
@@ -330,6 +364,11 @@ fn the_adopted_are_not_started_and_their_deaths_still_count() {
     let now = HostTime::from_secs_f64(50.0);
     let mut policy = Policy::new(MEMBERS.map(|process| (process, rule(process))), now);
     let deaths = vec![now; 6];
+    let later = now + Duration::from_secs(60);
+    let mut well = policy.clone();
+    well.happened(later, ProcessId::Planner, Event::Adopted { incarnation: 6, deaths: deaths.clone() });
+    let actions = well.happened(later, ProcessId::Planner, Event::Exited(6, "ended".to_owned()));
+    assert!(matches!(&actions[..], [Action::Died(..)]), "what was lived down does not count: {actions:?}");
     policy.happened(now, ProcessId::Planner, Event::Adopted { incarnation: 6, deaths });
     let started = policy.begin(now);
     assert_eq!(started.len(), 3, "{started:?}");

@@ -61,12 +61,13 @@ pub fn drive<P: Process>(mut process: P, run: &RunDir, rig: &StereoRig, options:
             .map_err(|error| IpcError::new("watch signals")(&error))?;
     }
     let mut lease = Lease::new(run, options.supervisor, options.lease);
-    if lease.is_replaced() {
-        return Err(IpcError::new("join the run")(&"the supervisor that started this process was replaced meanwhile"));
-    }
     let _member = run
         .join(P::ID, options.incarnation)
         .map_err(|error| IpcError::new(format!("join the run: {error}"))(&error))?;
+    // In this order: a successor sees the claim, or this process sees the successor.
+    if lease.is_replaced() {
+        return Err(IpcError::new("join the run")(&"the supervisor that started this process was replaced meanwhile"));
+    }
     let makes_time = process.flight_time(host_now()).is_some();
     let mut ports = IpcPorts::open_salted(run, P::ID, options.incarnation, rig, options.schema_salt, |ports| {
         process.connect(ports);

@@ -30,7 +30,7 @@ impl Lease {
     /// started its own.
     pub(super) fn is_replaced(&self) -> bool {
         let is_dead = !self.pidfd.as_ref().is_some_and(is_alive);
-        is_dead && self.run.supervisor().is_some_and(|number| number != self.supervisor)
+        is_dead && self.run.supervisor() != Some(self.supervisor)
     }
 
     /// Whether the supervisor has been dead for longer than the lease, and nobody has taken its place.
