@@ -81,6 +81,7 @@ mod tests {
         let run = RunDir::named(&format!("lease-{}", std::process::id())).expect("a good name");
         let _lock = run.take().expect("free");
         let (first, second) = (sleeper(), sleeper());
+        run.name_supervisor(first.id()).expect("writable");
         let mut lease = Lease::new(&run, first.id(), Duration::from_secs(3600));
         let mut short = Lease::new(&run, first.id(), Duration::ZERO);
         assert!(!lease.is_over() && lease.orphaned_since.is_none());
