@@ -4,29 +4,58 @@ use ipc_types::messages::FlightClock;
 use ipc_types::{FlightTime, HostTime};
 
 /// Follows the flight clock's readings and extrapolates between them.
+///
+/// A single reading that does not follow from those before it is not believed: time cannot be taken back, and whoever once
+/// believed to be in the future would hold all that is for stale, for good. Two that agree with each other are.
 #[derive(Debug, Default)]
 pub(super) struct ClockFollower {
-    reading: Option<(FlightTime, HostTime, f64)>,
+    reading: Option<Reading>,
+    /// One that does not follow from it; or the very first.
+    suspect: Option<Reading>,
     /// Flight time never runs backwards, even when a reading corrects an extrapolation.
     latest: FlightTime,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Reading {
+    flight: FlightTime,
+    host: HostTime,
+    rate: f64,
 }
 
 /// A reading older than this is not extrapolated further: flight time waits, or its source has died. A few periods of
 /// the clock, so that a slowed world does not look stale to those who live in it.
 const LONGEST_EXTRAPOLATION_S: f64 = 0.05;
+/// Flight time may be ahead of host time by this between two readings, for a world that catches up, s.
+const AHEAD_S: f64 = 0.1;
+
+impl Reading {
+    /// Whether another may come after it: flight time may wait, and hardly run ahead.
+    fn is_followed_by(&self, next: &Self) -> bool {
+        let (flight_s, host_s) = (next.flight.seconds_since(self.flight), next.host.seconds_since(self.host));
+        host_s >= 0.0 && (0.0..=host_s * self.rate.max(next.rate) + AHEAD_S).contains(&flight_s)
+    }
+}
 
 impl ClockFollower {
     pub(super) fn read(&mut self, clock: &FlightClock) {
-        let sane = clock.rate.is_finite() && (0.0..=100.0).contains(&clock.rate);
-        if sane {
-            let (flight, host) = (FlightTime::from_nanos(clock.flight_ns), HostTime::from_nanos(clock.host_ns));
-            self.reading = Some((flight, host, clock.rate));
+        let is_sane = clock.rate.is_finite() && (0.0..=100.0).contains(&clock.rate);
+        let (flight, host) = (FlightTime::from_nanos(clock.flight_ns), HostTime::from_nanos(clock.host_ns));
+        let next = Reading { flight, host, rate: clock.rate };
+        let follows = |before: &Option<Reading>| before.is_some_and(|before| before.is_followed_by(&next));
+        if !is_sane {
+            return;
+        }
+        if follows(&self.reading) || follows(&self.suspect) {
+            (self.reading, self.suspect) = (Some(next), None);
+        } else {
+            self.suspect = Some(next);
         }
     }
 
     /// Flight time at a host time; zero before the first reading.
     pub(super) fn at(&mut self, host: HostTime) -> FlightTime {
-        if let Some((flight, read_at, rate)) = self.reading {
+        if let Some(Reading { flight, host: read_at, rate }) = self.reading {
             let elapsed_s = host.seconds_since(read_at).clamp(0.0, LONGEST_EXTRAPOLATION_S);
             let now = FlightTime::from_nanos(flight.as_nanos().saturating_add((elapsed_s * rate * 1e9) as i64));
             self.latest = self.latest.max(now);
@@ -48,10 +77,43 @@ mod tests {
         let reading =
             FlightClock { flight_ns: 2_000_000_000, host_ns: 10_000_000_000, rate: 0.5, ..FlightClock::zeroed() };
         follower.read(&reading);
+        assert_eq!(follower.at(host(10.0)), FlightTime::ZERO, "one alone may be anything");
+        follower.read(&reading);
         assert!((follower.at(host(10.04)).as_secs_f64() - 2.02).abs() < 1e-6);
         follower.read(&FlightClock { host_ns: 10_040_000_000, ..reading });
         assert!((follower.at(host(10.04)).as_secs_f64() - 2.02).abs() < 1e-6);
         follower.read(&FlightClock { rate: f64::NAN, ..reading });
         assert!((follower.at(host(100.0)).as_secs_f64() - 2.025).abs() < 1e-6, "it waits with its source");
+    }
+
+    #[test]
+    fn a_reading_that_does_not_follow_is_not_believed_and_a_step_that_lasts_is() {
+        let mut follower = ClockFollower::default();
+        let host = HostTime::from_secs_f64;
+        let reading = |flight_s: f64, host_s: f64| FlightClock {
+            flight_ns: FlightTime::from_secs_f64(flight_s).as_nanos(),
+            host_ns: host(host_s).as_nanos(),
+            rate: 1.0,
+            ..FlightClock::zeroed()
+        };
+        follower.read(&reading(5.0, 100.0));
+        for tick in 0..100 {
+            let s = 0.01 * f64::from(tick);
+            follower.read(&reading(5.0 + s, 100.0 + s));
+            // Damaged: far ahead, long ago, of a host in the future.
+            let damaged = [reading(3.6e9, 100.0 + s), reading(0.0, 100.0 + s), reading(5.2 + s, 99.0)];
+            follower.read(&damaged[tick as usize % 3]);
+            let now_s = follower.at(host(100.0 + s)).as_secs_f64();
+            assert!((now_s - 5.0 - s).abs() < 1e-6, "{now_s} at {s}");
+        }
+        // A world that stood still for a while, then goes on.
+        follower.read(&reading(6.0, 103.0));
+        assert!((follower.at(host(103.0)).as_secs_f64() - 6.0).abs() < 1e-6);
+        // A step that lasts.
+        for tick in 0..3 {
+            let s = 0.01 * f64::from(tick);
+            follower.read(&reading(9.0 + s, 103.1 + s));
+        }
+        assert!((follower.at(host(103.12)).as_secs_f64() - 9.02).abs() < 1e-6);
     }
 }
