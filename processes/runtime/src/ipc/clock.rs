@@ -26,6 +26,8 @@ struct Reading {
 /// A reading older than this is not extrapolated further: flight time waits, or its source has died. A few periods of
 /// the clock, so that a slowed world does not look stale to those who live in it.
 const LONGEST_EXTRAPOLATION_S: f64 = 0.05;
+/// A reading that is older is not taken, s.
+const LATEST_S: f64 = 1.0;
 /// Flight time may be ahead of host time by this between two readings, for a world that catches up, s.
 const AHEAD_S: f64 = 0.1;
 
@@ -38,8 +40,11 @@ impl Reading {
 }
 
 impl ClockFollower {
-    pub(super) fn read(&mut self, clock: &FlightClock) {
-        let is_sane = clock.rate.is_finite() && (0.0..=100.0).contains(&clock.rate);
+    /// Takes a reading, at a host time.
+    pub(super) fn read(&mut self, clock: &FlightClock, now: HostTime) {
+        // One of another host time was damaged as well, and its flight time would seem to follow.
+        let is_of_now = now.seconds_since(HostTime::from_nanos(clock.host_ns)).abs() < LATEST_S;
+        let is_sane = is_of_now && clock.rate.is_finite() && (0.0..=100.0).contains(&clock.rate);
         let (flight, host) = (FlightTime::from_nanos(clock.flight_ns), HostTime::from_nanos(clock.host_ns));
         let next = Reading { flight, host, rate: clock.rate };
         let follows = |before: &Option<Reading>| before.is_some_and(|before| before.is_followed_by(&next));
@@ -76,13 +81,13 @@ mod tests {
         assert_eq!(follower.at(host(9.0)), FlightTime::ZERO);
         let reading =
             FlightClock { flight_ns: 2_000_000_000, host_ns: 10_000_000_000, rate: 0.5, ..FlightClock::zeroed() };
-        follower.read(&reading);
+        follower.read(&reading, host(10.0));
         assert_eq!(follower.at(host(10.0)), FlightTime::ZERO, "one alone may be anything");
-        follower.read(&reading);
+        follower.read(&reading, host(10.0));
         assert!((follower.at(host(10.04)).as_secs_f64() - 2.02).abs() < 1e-6);
-        follower.read(&FlightClock { host_ns: 10_040_000_000, ..reading });
+        follower.read(&FlightClock { host_ns: 10_040_000_000, ..reading }, host(10.04));
         assert!((follower.at(host(10.04)).as_secs_f64() - 2.02).abs() < 1e-6);
-        follower.read(&FlightClock { rate: f64::NAN, ..reading });
+        follower.read(&FlightClock { rate: f64::NAN, ..reading }, host(10.05));
         assert!((follower.at(host(100.0)).as_secs_f64() - 2.025).abs() < 1e-6, "it waits with its source");
     }
 
@@ -96,23 +101,24 @@ mod tests {
             rate: 1.0,
             ..FlightClock::zeroed()
         };
-        follower.read(&reading(5.0, 100.0));
+        follower.read(&reading(5.0, 100.0), host(100.0));
         for tick in 0..100 {
             let s = 0.01 * f64::from(tick);
-            follower.read(&reading(5.0 + s, 100.0 + s));
+            follower.read(&reading(5.0 + s, 100.0 + s), host(100.0 + s));
             // Damaged: far ahead, long ago, of a host in the future.
-            let damaged = [reading(3.6e9, 100.0 + s), reading(0.0, 100.0 + s), reading(5.2 + s, 99.0)];
-            follower.read(&damaged[tick as usize % 3]);
+            let damaged =
+                [reading(3.6e6, 100.0 + s), reading(0.0, 100.0 + s), reading(5.2 + s, 99.0), reading(4e6, 4e7)];
+            follower.read(&damaged[tick as usize % 4], host(100.0 + s));
             let now_s = follower.at(host(100.0 + s)).as_secs_f64();
             assert!((now_s - 5.0 - s).abs() < 1e-6, "{now_s} at {s}");
         }
         // A world that stood still for a while, then goes on.
-        follower.read(&reading(6.0, 103.0));
+        follower.read(&reading(6.0, 103.0), host(103.0));
         assert!((follower.at(host(103.0)).as_secs_f64() - 6.0).abs() < 1e-6);
         // A step that lasts.
         for tick in 0..3 {
             let s = 0.01 * f64::from(tick);
-            follower.read(&reading(9.0 + s, 103.1 + s));
+            follower.read(&reading(9.0 + s, 103.1 + s), host(103.1 + s));
         }
         assert!((follower.at(host(103.12)).as_secs_f64() - 9.02).abs() < 1e-6);
     }

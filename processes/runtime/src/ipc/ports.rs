@@ -343,7 +343,7 @@ impl IpcPorts {
 /// Reads what the flight clock has said since.
 fn follow_clock(clock: &mut ClockFollower, port: Option<&Incoming<Clock>>) {
     while let Some(Ok(Some(reading))) = port.map(|port| port.subscriber.receive()) {
-        clock.read(&reading.user_header().0);
+        clock.read(&reading.user_header().0, host_now());
     }
 }
 
