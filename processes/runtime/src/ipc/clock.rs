@@ -6,12 +6,14 @@ use ipc_types::{FlightTime, HostTime};
 /// Follows the flight clock's readings and extrapolates between them.
 ///
 /// A single reading that does not follow from those before it is not believed: time cannot be taken back, and whoever once
-/// believed to be in the future would hold all that is for stale, for good. Two that agree with each other are.
+/// believed to be in the future would hold all that is for stale, for good. Several in a row that agree with each other are.
 #[derive(Debug, Default)]
 pub(super) struct ClockFollower {
     reading: Option<Reading>,
     /// One that does not follow from it; or the very first.
     suspect: Option<Reading>,
+    /// So many in a row agree with each other, though not with the reading.
+    agreeing: u32,
     /// Flight time never runs backwards, even when a reading corrects an extrapolation.
     latest: FlightTime,
 }
@@ -26,6 +28,9 @@ struct Reading {
 /// A reading older than this is not extrapolated further: flight time waits, or its source has died. A few periods of
 /// the clock, so that a slowed world does not look stale to those who live in it.
 const LONGEST_EXTRAPOLATION_S: f64 = 0.05;
+/// So many that agree are believed: at first, when there is nothing to hold against them, and against what was read before. Two
+/// messages in a row may be damaged alike.
+const AGREEING: (u32, u32) = (2, 6);
 /// A reading that is older is not taken, s.
 const LATEST_S: f64 = 1.0;
 /// Flight time may be ahead of host time by this between two readings, for a world that catches up, s.
@@ -51,7 +56,9 @@ impl ClockFollower {
         if !is_sane {
             return;
         }
-        if follows(&self.reading) || follows(&self.suspect) {
+        self.agreeing = if follows(&self.suspect) { self.agreeing + 1 } else { 1 };
+        let needed = if self.reading.is_none() { AGREEING.0 } else { AGREEING.1 };
+        if follows(&self.reading) || self.agreeing >= needed {
             (self.reading, self.suspect) = (Some(next), None);
         } else {
             self.suspect = Some(next);
@@ -116,10 +123,40 @@ mod tests {
         follower.read(&reading(6.0, 103.0), host(103.0));
         assert!((follower.at(host(103.0)).as_secs_f64() - 6.0).abs() < 1e-6);
         // A step that lasts.
-        for tick in 0..3 {
+        for tick in 0..6 {
             let s = 0.01 * f64::from(tick);
             follower.read(&reading(9.0 + s, 103.1 + s), host(103.1 + s));
         }
-        assert!((follower.at(host(103.12)).as_secs_f64() - 9.02).abs() < 1e-6);
+        assert!((follower.at(host(103.15)).as_secs_f64() - 9.05).abs() < 1e-6);
+    }
+
+    /// Whatever bytes are damaged, of one message in three, time goes on by what the others say.
+    #[test]
+    fn damaged_readings_never_carry_time_away() {
+        use rand::{RngExt, SeedableRng};
+        for seed in 0..50 {
+            let (mut random, mut follower) = (rand_pcg::Pcg64Mcg::seed_from_u64(seed), ClockFollower::default());
+            for tick in 0..2000 {
+                let (flight_s, host_s) = (1.0 + 0.01 * f64::from(tick), 5000.0 + 0.01 * f64::from(tick));
+                let (flight, host) = (FlightTime::from_secs_f64(flight_s), HostTime::from_secs_f64(host_s));
+                let mut reading = FlightClock {
+                    flight_ns: flight.as_nanos(),
+                    host_ns: host.as_nanos(),
+                    rate: 1.0,
+                    ..FlightClock::zeroed()
+                };
+                let is_damaged = random.random::<f64>() < 0.3;
+                if tick > 1 && (is_damaged || (1000..1003).contains(&tick)) {
+                    let bytes = &mut bytemuck::bytes_of_mut(&mut reading)[size_of::<ipc_types::wire::Stamp>()..];
+                    // Three in a row alike, once.
+                    let alike = (1000..1003).contains(&tick);
+                    let at = if alike { 6 } else { random.random_range(0..bytes.len()) };
+                    bytes[at] = if alike { 0x97 } else { random.random() };
+                }
+                follower.read(&reading, host);
+                let now_s = follower.at(host).as_secs_f64();
+                assert!(tick < 2 || (now_s - flight_s).abs() < 0.5, "seed {seed}: {now_s} s at {flight_s} s");
+            }
+        }
     }
 }
