@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use std::error::Error;
 use std::fs;
 use std::os::unix::process::ExitStatusExt;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::{Command, Stdio};
 use supervisor::{Outcome, Summary};
 
@@ -134,8 +134,7 @@ fn verdict(summary: &Summary) -> Verdict {
 
 /// Counts what a run that has ended left: shared memory, processes, zombies.
 fn leaked(name: &str) -> Result<usize, Box<dyn Error>> {
-    let run = RunDir::named(name)?;
-    let files = shared_files(Path::new("/dev/shm"), name, &run.prefix());
+    let (files, _) = RunDir::named(name)?.footprint();
     let own = std::process::id().cast_signed();
     let of_run = |process: &procfs::process::Process| {
         let is_zombie = process.stat().is_ok_and(|stat| stat.state == 'Z' && stat.ppid == own);
@@ -143,16 +142,5 @@ fn leaked(name: &str) -> Result<usize, Box<dyn Error>> {
         process.pid() != own && (is_zombie || names_run)
     };
     let processes = all_processes()?.filter_map(Result::ok).filter(of_run).count();
-    Ok(files + processes)
-}
-
-fn shared_files(folder: &Path, name: &str, prefix: &str) -> usize {
-    let entries = fs::read_dir(folder).into_iter().flatten().flatten();
-    let count = |entry: fs::DirEntry| {
-        let file = entry.file_name().to_string_lossy().into_owned();
-        let is_its = file == name || file.starts_with(prefix);
-        let below = entry.file_type().is_ok_and(|kind| kind.is_dir());
-        usize::from(is_its) + if below { shared_files(&entry.path(), name, prefix) } else { 0 }
-    };
-    entries.map(count).sum()
+    Ok(files as usize + processes)
 }

@@ -52,9 +52,8 @@ fn row((plan, seed): (&str, u64), flown: &Flown, fault: &supervisor::FaultSummar
     let soon = |at_s: f64| (fault.at_s - 0.02..fault.at_s + CONSEQUENCE_S).contains(&at_s);
     let deaths = summary.map_or(&[][..], |summary| &summary.deaths);
     let death = deaths.iter().find(|death| death.process == fault.victim && soon(death.at_s));
-    let depth = |name: &str| Rung::ALL.iter().position(|rung| rung.name() == name);
     let steps = summary.map_or(&[][..], |summary| &summary.degradation);
-    let deepest = steps.iter().filter(|step| soon(step.at_s)).max_by_key(|step| depth(&step.rung));
+    let deepest = steps.iter().filter(|step| soon(step.at_s)).max_by_key(|step| Rung::from_name(&step.rung));
     FaultRow {
         plan: plan.to_owned(),
         seed,

@@ -85,9 +85,9 @@ pub(crate) fn fly(
         run,
         folder: files.folder(),
         mission,
-        supervision: Supervision::start(commands, signals, (run, orphans)),
+        supervision: Supervision::start(run, commands, signals, orphans),
         record: Recordkeeper::new(run, files.folder().to_owned(), takeovers),
-        injector: Injector::new(run, &config.vehicle.rig, &config.faults, (from_s, account.faults), intruder),
+        injector: Injector::new(run, &config.vehicle.rig, &config.faults, from_s, account.faults, intruder),
         deaths: account.deaths,
         degradation: account.degradation,
         is_ready: false,
@@ -95,17 +95,16 @@ pub(crate) fn fly(
     };
     let mut display = Display::new(config.mission.goal());
     while flight.mission.outcome().is_none() {
-        flight.attend(&services, &mut ports);
-        display.show(&flight.mission, &flight.supervision.status());
+        let children = flight.attend(&services, &mut ports);
+        display.show(&flight.mission, &children);
     }
     display.clear();
     Ok(flight.end(&services))
 }
 
 impl FlightRun<'_> {
-    /// One round: what happened, what was heard, what is due.
-    fn attend(&mut self, services: &Services, ports: &mut IpcPorts) {
-        let at_first = self.supervision.status();
+    /// One round: what was heard, what happened, what is due. Returns the children after it.
+    fn attend(&mut self, services: &Services, ports: &mut IpcPorts) -> Vec<ChildStatus> {
         ports.refresh();
         self.mission.step(ports);
         ports.serve_late_subscribers();
@@ -115,13 +114,11 @@ impl FlightRun<'_> {
             self.supervision.saw_output(&stamp);
         }
         let before = self.supervision.status();
-        for happening in self.supervision.attend(services, ATTENTION) {
-            self.tell(&happening, &before);
-        }
+        let happenings = self.supervision.attend(services, ATTENTION);
+        happenings.iter().for_each(|happening| self.tell(happening, &before));
         let children = self.supervision.status();
-        self.note_recoveries(&at_first, &children);
         self.mission.see_processes(&children);
-        let is_urgent = self.injector.is_last_round();
+        let is_urgent = !happenings.is_empty() || self.injector.is_last_round();
         let (injector, deaths) = (&self.injector, &self.deaths);
         let degradation = || self.degradation.iter().chain(self.mission.recorder().degradation()).cloned().collect();
         let account = || Account { faults: injector.injected(), deaths: deaths.clone(), degradation: degradation() };
@@ -131,6 +128,7 @@ impl FlightRun<'_> {
         if ports.now().as_secs_f64() > 0.0 && self.mission.outcome().is_some() {
             tracing::info!(flight_s = ports.now().as_secs_f64(), outcome = ?self.mission.outcome(), "the mission has ended");
         }
+        children
     }
 
     /// Says what happened: to whoever watches, in the run's log, and in a crash report.
@@ -145,6 +143,11 @@ impl FlightRun<'_> {
                 tracing::warn!(flight_s, child = child.name(), how, wait_ms = wait.as_millis() as u64, "died");
                 self.report(*child, how, before);
                 self.note_death(*child, how);
+            }
+            Happening::Recovered(child, after) => {
+                let after_ms = 1e3 * after.as_secs_f64();
+                tracing::info!(flight_s, child = child.name(), after_ms, "recovered");
+                self.note_recovery(*child, after_ms);
             }
             Happening::Ended(child, why) => {
                 tracing::warn!(flight_s, child = child.name(), why, "killed");
@@ -179,16 +182,11 @@ impl FlightRun<'_> {
         }
     }
 
-    /// Deaths with the recoveries that ended them. Who died again before it had made anything recovered once.
-    fn note_recoveries(&mut self, before: &[ChildStatus], now: &[ChildStatus]) {
-        for (before, now) in before.iter().zip(now) {
-            let Some(&recovered_s) = now.recoveries_s.get(before.recoveries_s.len()) else { continue };
-            let name = now.process.name();
-            let mut unrecovered =
-                self.deaths.iter_mut().filter(|death| death.process == name && death.recovered_ms.is_none());
-            if let Some(death) = unrecovered.next_back() {
-                death.recovered_ms = Some(1e3 * recovered_s);
-            }
+    /// Who died again before it had made anything recovered once.
+    fn note_recovery(&mut self, process: ProcessId, after_ms: f64) {
+        let unrecovered = |death: &&mut DeathSummary| death.process == process.name() && death.recovered_ms.is_none();
+        if let Some(death) = self.deaths.iter_mut().rfind(unrecovered) {
+            death.recovered_ms = Some(after_ms);
         }
     }
 
@@ -226,7 +224,7 @@ impl FlightRun<'_> {
         let _ = sd_notify::notify(&[NotifyState::Stopping]);
         let children = self.supervision.stop(services);
         let mut summary = self.mission.summary();
-        summary.processes = children.iter().map(ProcessSummary::of).collect();
+        summary.processes = children.iter().map(|child| ProcessSummary::of(child, &self.deaths)).collect();
         summary.restarts = children.iter().map(|child| child.restarts).sum();
         summary.takeovers = self.record.takeovers();
         summary.degradation.splice(0..0, std::mem::take(&mut self.degradation));

@@ -5,7 +5,7 @@ use crate::say::say;
 use ipc_types::{HostTime, ProcessId, StereoRig};
 use runtime::faults::{Fault, FaultKind};
 use runtime::host_now;
-use runtime::ipc::{hold_messages, stall};
+use runtime::ipc::{Ballast, hold_messages};
 use runtime::run_dir::RunDir;
 use rustix::process::{Pid, Signal, kill_process};
 use serde::{Deserialize, Serialize};
@@ -40,16 +40,17 @@ pub(crate) struct Injector {
     /// Whether this process is to be killed in the next round.
     is_last_round: bool,
     /// Shared memory that is held full until then.
-    ballast: Option<(stall::Ballast, HostTime)>,
+    ballast: Option<(Ballast, HostTime)>,
 }
 
 impl Injector {
-    /// For the faults that come after `from_s`; `intruder` is the command line of a process of the run.
+    /// For the faults that come after `from_s`; what came before is in `injected`. `intruder` is the command line of a process of the run.
     pub(crate) fn new(
         run: &RunDir,
         rig: &StereoRig,
         faults: &[Fault],
-        (from_s, injected): (f64, Vec<Injected>),
+        from_s: f64,
+        injected: Vec<Injected>,
         intruder: Vec<String>,
     ) -> Self {
         let mut due: Vec<_> = faults.iter().filter(|fault| fault.at_s > from_s).cloned().collect();
@@ -113,7 +114,7 @@ impl Injector {
             }
             FaultKind::Kill { process } => signal(*process, children, Signal::KILL),
             FaultKind::Stop { process } => signal(*process, children, Signal::STOP),
-            FaultKind::FillMemory { for_s } => match stall::Ballast::fill() {
+            FaultKind::FillMemory { for_s } => match Ballast::fill() {
                 Ok(ballast) => {
                     self.ballast = Some((ballast, host_now() + Duration::from_secs_f64(*for_s)));
                     true

@@ -180,7 +180,7 @@ fn digest(
         ports.reads::<Keyframes>();
         ports.reads::<HealthReports>();
     })?;
-    let mut supervision = Supervision::start(commands, signals, (run, &[]));
+    let mut supervision = Supervision::start(run, commands, signals, &[]);
     let mut gathered = Gathered::new(input);
     let (mut progress, mut is_interrupted) = (Instant::now(), false);
     let (products, view) = loop {
@@ -203,7 +203,7 @@ fn digest(
                 Happening::Died(process, how, _) => say(format_args!("{process} {how}: restarting it")),
                 Happening::GaveUp(ProcessId::Recorder, how) => say(format_args!("recorder {how}: going on without")),
                 Happening::GaveUp(process, how) => return Err(format!("{process} {how}: given up").into()),
-                Happening::Started(..) | Happening::Ended(..) => {}
+                Happening::Started(..) | Happening::Ended(..) | Happening::Recovered(..) => {}
             }
         }
         if gathered.take(&mut ports) {

@@ -77,8 +77,11 @@ impl RunRecord {
 
     /// Where the flight stood on the ladder.
     pub(crate) fn step(&self) -> Step {
-        let rung = Rung::ALL.into_iter().find(|rung| rung.name() == self.rung).unwrap_or(Rung::Hover);
-        Step { rung, speed_share: self.speed_share, reason: self.reason.clone() }
+        Step {
+            rung: Rung::from_name(&self.rung).unwrap_or(Rung::Hover),
+            speed_share: self.speed_share,
+            reason: self.reason.clone(),
+        }
     }
 
     /// Age of the record, s.
@@ -87,7 +90,7 @@ impl RunRecord {
     }
 }
 
-/// Writes the record of a run, whenever children come or go, and often enough to be watched.
+/// Writes the record of a run, often enough to be watched.
 #[derive(Debug)]
 pub(crate) struct Recordkeeper {
     run: RunDir,
@@ -98,7 +101,6 @@ pub(crate) struct Recordkeeper {
     counted: HashMap<u32, u64>,
     counting_since: HostTime,
     rates: HashMap<u32, f64>,
-    orphans: Vec<Orphan>,
     /// What the supervisor itself uses, when that was asked for, and its processor time then.
     own: Option<Usage>,
     own_at: HostTime,
@@ -123,7 +125,6 @@ impl Recordkeeper {
             counted: HashMap::new(),
             counting_since: now,
             rates: HashMap::new(),
-            orphans: Vec::new(),
             own: None,
             own_at: HostTime::ZERO,
             own_ticks: 0,
@@ -140,7 +141,7 @@ impl Recordkeeper {
         *self.counted.entry(producer).or_default() += 1;
     }
 
-    /// Writes a record if one is due, or `is_urgent`.
+    /// Writes a record if one is due, or `is_urgent`: something has happened that a successor must know.
     pub(crate) fn keep(
         &mut self,
         mission: &Mission,
@@ -158,11 +159,10 @@ impl Recordkeeper {
         if sampled.as_secs_f64() >= RATE_S {
             (self.own, self.own_at) = (Usage::own(&mut self.own_ticks, sampled), now);
         }
-        let orphans = supervision.orphans();
-        if !is_urgent && orphans == self.orphans && now.seconds_since(self.written) < INTERVAL_S {
+        if !is_urgent && now.seconds_since(self.written) < INTERVAL_S {
             return;
         }
-        (self.orphans, self.written) = (orphans, now);
+        self.written = now;
         let process = |child: &ChildStatus| self.process(mission, child);
         let record = RunRecord {
             run: self.run.name().to_owned(),
@@ -176,7 +176,7 @@ impl Recordkeeper {
             speed_share: mission.rung().speed_share,
             reason: mission.rung().reason.clone(),
             mode: mission.plan_mode().to_string(),
-            orphans: self.orphans.clone(),
+            orphans: supervision.orphans(),
             account: account(),
             processes: supervision.status().iter().map(process).chain([self.supervisor()]).collect(),
         };

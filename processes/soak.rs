@@ -13,7 +13,6 @@ use rustix::process::{Pid, Signal, kill_process};
 use serde::Serialize;
 use std::error::Error;
 use std::fs;
-use std::os::unix::fs::MetadataExt;
 use std::os::unix::process::ExitStatusExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitCode, ExitStatus, Stdio};
@@ -203,10 +202,7 @@ impl Flight {
 fn sample(record: &RunRecord, run: &RunDir, at_s: f64) -> Sample {
     let usages = || record.processes.iter().filter_map(|process| process.usage);
     let mib = |bytes: u64| bytes as f64 / f64::from(1 << 20);
-    let (mut shared_files, mut shared_bytes) = (0, 0);
-    measure(Path::new("/dev/shm"), run.name(), &run.prefix(), false, &mut |bytes| {
-        (shared_files, shared_bytes) = (shared_files + 1, shared_bytes + bytes);
-    });
+    let (shared_files, shared_bytes) = run.footprint();
     Sample {
         at_s,
         resident_mib: mib(usages().map(|usage| usage.resident_bytes).sum()),
@@ -215,20 +211,6 @@ fn sample(record: &RunRecord, run: &RunDir, at_s: f64) -> Sample {
         shared_files,
         shared_mib: mib(shared_bytes),
         restarts: record.processes.iter().map(|process| process.restarts).sum(),
-    }
-}
-
-/// Every file of a run in shared memory: what it takes, bytes.
-fn measure(folder: &Path, name: &str, prefix: &str, is_its: bool, take: &mut impl FnMut(u64)) {
-    for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
-        let file = entry.file_name().to_string_lossy().into_owned();
-        let is_its = is_its || file == name || file.starts_with(prefix);
-        match entry.metadata() {
-            Ok(metadata) if metadata.is_dir() => measure(&entry.path(), name, prefix, is_its, take),
-            Ok(metadata) if is_its => take(512 * metadata.blocks()),
-            // Gone meanwhile, or another's.
-            _ => {}
-        }
     }
 }
 

@@ -44,6 +44,11 @@ impl Rung {
         Self::ALL.into_iter().find(|rung| *rung as u32 == number).unwrap_or(Self::Hover)
     }
 
+    /// The rung of that name.
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|rung| rung.name() == name)
+    }
+
     /// Name, as reports have it.
     pub const fn name(self) -> &'static str {
         match self {

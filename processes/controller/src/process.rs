@@ -123,7 +123,7 @@ impl ControllerProcess {
             hovers: u64::from(hover_at.is_some()),
         };
         let points = self.reference.as_ref().map_or(&[][..], |reference| &reference.points);
-        let _ = leave(ports.images(), Self::ID, (&estate, points), &mut self.estate);
+        let _ = leave(ports.images(), Self::ID, &estate, points, &mut self.estate);
     }
 }
 

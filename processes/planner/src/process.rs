@@ -111,7 +111,7 @@ impl PlannerProcess {
     fn leave(&mut self, ports: &mut impl Ports, situation: &Situation) {
         let Some(goal) = self.goal else { return };
         let estate = self.planner.estate(goal, situation.now, &mut self.places);
-        let _ = leave(ports.images(), Self::ID, (&estate, &self.places[..]), &mut self.estate);
+        let _ = leave(ports.images(), Self::ID, &estate, &self.places[..], &mut self.estate);
     }
 
     fn situation(&self, now: FlightTime, image_valid: FlightTime) -> Option<Situation> {

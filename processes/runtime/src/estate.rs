@@ -12,7 +12,8 @@ use std::io;
 pub fn leave<H: Wire, E: Wire>(
     images: &mut ImageStore,
     process: ProcessId,
-    (header, elements): (&H, &[E]),
+    header: &H,
+    elements: &[E],
     buffer: &mut Vec<u16>,
 ) -> io::Result<()> {
     buffer.clear();
@@ -51,7 +52,7 @@ mod tests {
         let mut images = ImageStore::in_memory();
         let (header, mut buffer) = (PlannerEstate { replans: 7, ..PlannerEstate::zeroed() }, Vec::new());
         let places = [EstatePlace { position_m: [1.0, 2.0, 3.0], dwelt_s: 4.0 }; 3];
-        leave(&mut images, ProcessId::Planner, (&header, &places[..]), &mut buffer).expect("stored");
+        leave(&mut images, ProcessId::Planner, &header, &places[..], &mut buffer).expect("stored");
         assert_eq!(inherit(&images, ProcessId::Planner), Some((header, places.to_vec())));
         assert_eq!(inherit::<PlannerEstate, EstatePlace>(&images, ProcessId::Controller), None);
         assert_eq!(inherit::<ControllerEstate, TrajectoryPoint>(&images, ProcessId::Planner), None, "another layout");

@@ -17,12 +17,15 @@ use ipc_types::ProcessId;
 use rustix::fs::{FlockOperation, flock};
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write};
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 use xxhash_rust::xxh3::xxh3_64;
 
 /// The file system that iceoryx2 puts its segments on.
 const SHARED_MEMORY: &str = "/dev/shm";
+/// What the kernel counts a file's room in, bytes.
+const BLOCK_BYTES: u64 = 512;
 /// Longest run name: with the user's number and iceoryx2's own names, event sockets stay below 108 bytes.
 pub const MAX_RUN_NAME: usize = 24;
 /// Whoever holds a claim has written who it is within this time.
@@ -344,6 +347,34 @@ impl RunDir {
         }
     }
 
+    /// The run's files in shared memory, and what they take, bytes.
+    pub fn footprint(&self) -> (u64, u64) {
+        let (mut files, mut bytes) = (0, 0);
+        let mut folders = vec![self.path.clone()];
+        let mut take = |path: PathBuf| match fs::symlink_metadata(&path) {
+            Ok(metadata) if metadata.is_dir() => Some(path),
+            Ok(metadata) => {
+                (files, bytes) = (files + 1, bytes + BLOCK_BYTES * metadata.blocks());
+                None
+            }
+            Err(_) => None, // Gone meanwhile.
+        };
+        self.segments().for_each(|path| drop(take(path)));
+        while let Some(folder) = folders.pop() {
+            let entries = fs::read_dir(folder).into_iter().flatten().flatten();
+            folders.extend(entries.filter_map(|entry| take(entry.path())));
+        }
+        (files, bytes)
+    }
+
+    /// The run's iceoryx2 segments.
+    fn segments(&self) -> impl Iterator<Item = PathBuf> {
+        let prefix = self.prefix();
+        let entries = fs::read_dir(SHARED_MEMORY).into_iter().flatten().flatten();
+        let its = entries.filter(move |entry| entry.file_name().as_encoded_bytes().starts_with(prefix.as_bytes()));
+        its.map(|entry| entry.path())
+    }
+
     /// Removes everything of this run but the lock.
     fn sweep(&self) {
         // Absent is as good as removed.
@@ -351,12 +382,7 @@ impl RunDir {
         let _ = fs::remove_dir_all(self.images());
         let _ = fs::remove_dir_all(self.path.join("boxes"));
         ["supervisor", "record"].iter().for_each(|name| drop(fs::remove_file(self.path.join(name))));
-        let prefix = self.prefix();
-        for entry in fs::read_dir(SHARED_MEMORY).into_iter().flatten().flatten() {
-            if entry.file_name().as_encoded_bytes().starts_with(prefix.as_bytes()) {
-                let _ = fs::remove_file(entry.path());
-            }
-        }
+        self.segments().for_each(|path| drop(fs::remove_file(path)));
     }
 }
 
@@ -398,6 +424,7 @@ mod tests {
         assert!(matches!(run.take(), Err(RunError::AlreadyRunning { .. })));
         let leftover = Path::new(SHARED_MEMORY).join(format!("{}leftover", run.prefix()));
         fs::write(&leftover, b"x").expect("writable");
+        assert!(run.footprint().0 >= 3, "lock, alive and leftover: {:?}", run.footprint());
         let member = run.join(ProcessId::Memory, 3).expect("alive");
         assert_eq!(run.living(ProcessId::Memory), Some((std::process::id(), 3)));
         let second = run.join(ProcessId::Memory, 4);
@@ -405,6 +432,7 @@ mod tests {
         assert_eq!(run.living(ProcessId::Planner), None);
         drop(lock);
         assert!(!run.path.exists() && !leftover.exists());
+        assert_eq!(run.footprint(), (0, 0));
         drop(member);
         drop(run.take().expect("free again"));
     }

@@ -15,9 +15,6 @@ use std::os::unix::process::{CommandExt, ExitStatusExt};
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::Duration;
 
-/// Ticks of processor time in a second, as the kernel reports them to processes.
-const TICKS_HZ: f64 = 100.0;
-
 /// What the kernel says of a process that does not beat.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Look {
@@ -117,12 +114,18 @@ impl Running {
             return Look::Awake;
         };
         let used = stat.utime + stat.stime;
-        let used_s = (used - std::mem::replace(&mut self.used_ticks, used).min(used)) as f64 / TICKS_HZ;
+        let used_s = seconds(used.saturating_sub(std::mem::replace(&mut self.used_ticks, used)));
         match stat.state {
             'T' | 't' => Look::Halted,
             'R' if used_s < 0.3 * elapsed.as_secs_f64() => Look::Starved,
             _ => Look::Awake,
         }
+    }
+
+    /// What it has used since it was last asked, `elapsed` ago.
+    pub(crate) fn usage(&mut self, elapsed: Duration) -> Option<Usage> {
+        let process = Proc::new(self.pid.as_raw_nonzero().get()).ok()?;
+        Usage::of(&process, &mut self.sampled_ticks, elapsed)
     }
 }
 
@@ -133,7 +136,7 @@ impl Usage {
         let used = stat.utime + stat.stime;
         let since = used.saturating_sub(std::mem::replace(sampled_ticks, used));
         Some(Self {
-            cpu: since as f64 / TICKS_HZ / elapsed.as_secs_f64().max(1e-3),
+            cpu: seconds(since) / elapsed.as_secs_f64().max(1e-3),
             resident_bytes: stat.rss * rustix::param::page_size() as u64,
             descriptors: process.fd_count().unwrap_or_default() as u64,
         })
@@ -142,14 +145,6 @@ impl Usage {
     /// What this process itself uses.
     pub fn own(sampled_ticks: &mut u64, elapsed: Duration) -> Option<Self> {
         Self::of(&Proc::myself().ok()?, sampled_ticks, elapsed)
-    }
-}
-
-impl Running {
-    /// What it has used since it was last asked, `elapsed` ago.
-    pub(crate) fn usage(&mut self, elapsed: Duration) -> Option<Usage> {
-        let process = Proc::new(self.pid.as_raw_nonzero().get()).ok()?;
-        Usage::of(&process, &mut self.sampled_ticks, elapsed)
     }
 }
 
@@ -176,6 +171,11 @@ pub(crate) fn reap_group(number: u32) -> bool {
 
 fn pid(number: u32) -> io::Result<Pid> {
     i32::try_from(number).ok().and_then(Pid::from_raw).ok_or_else(|| io::ErrorKind::InvalidInput.into())
+}
+
+/// Processor time, of the kernel's ticks, s.
+fn seconds(ticks: u64) -> f64 {
+    ticks as f64 / procfs::ticks_per_second() as f64
 }
 
 /// How much processor time a process has used, ticks.

@@ -1,6 +1,6 @@
 //! The mission: publishes the goal, watches how the flight goes.
 
-use crate::ladder::{Ladder, LadderConfig};
+use crate::ladder::{Ladder, LadderConfig, Step};
 use crate::observation::Observation;
 use crate::summary::{Recorder, Summary};
 use crate::supervision::ChildStatus;
@@ -272,7 +272,7 @@ impl Mission {
     }
 
     /// Where the flight stands on the degradation ladder.
-    pub fn rung(&self) -> &crate::ladder::Step {
+    pub fn rung(&self) -> &Step {
         self.ladder.present()
     }
 
@@ -283,7 +283,7 @@ impl Mission {
 
     /// Goes on with a flight that was taken over: after so many waypoints, on that rung. Nothing is said before the flight's
     /// time is known.
-    pub fn resume(&mut self, passed: usize, step: crate::ladder::Step) {
+    pub fn resume(&mut self, passed: usize, step: Step) {
         self.passed = passed.min(self.config.waypoints_m.len());
         self.ladder.resume(step);
         self.is_taken_over = true;

@@ -150,9 +150,7 @@ pub struct ProcessSummary {
     pub pid: Option<u32>,
     /// Restarts.
     pub restarts: u32,
-    /// Times from a death to the successor's first output (the recorder's first heartbeat), ms.
-    pub recoveries_ms: Vec<f64>,
-    /// The longest of them, ms.
+    /// Longest time from a death to the successor's first output of a later instant (the recorder's first heartbeat), ms.
     pub longest_recovery_ms: Option<f64>,
     /// Why it was given up, if it was.
     pub given_up: Option<String>,
@@ -167,21 +165,20 @@ impl ProcessSummary {
             name: ProcessId::Supervisor.name().to_owned(),
             pid: Some(std::process::id()),
             restarts: 0,
-            recoveries_ms: Vec::new(),
             longest_recovery_ms: None,
             given_up: None,
             longest_step_ms: 0.0,
         }
     }
 
-    /// From the supervisor's last view of a child.
-    pub fn of(status: &ChildStatus) -> Self {
+    /// From the supervisor's last view of a child, and all deaths of the run.
+    pub fn of(status: &ChildStatus, deaths: &[DeathSummary]) -> Self {
+        let of_it = deaths.iter().filter(|death| death.process == status.process.name());
         Self {
             name: status.process.name().to_owned(),
             pid: status.pid,
             restarts: status.restarts,
-            recoveries_ms: status.recoveries_s.iter().map(|seconds| seconds * 1e3).collect(),
-            longest_recovery_ms: status.recoveries_s.iter().copied().reduce(f64::max).map(|seconds| seconds * 1e3),
+            longest_recovery_ms: of_it.filter_map(|death| death.recovered_ms).reduce(f64::max),
             given_up: match &status.phase {
                 Phase::GivenUp(why) => Some(why.clone()),
                 _ => None,

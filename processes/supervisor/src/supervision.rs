@@ -24,8 +24,6 @@ const UNKILLABLE: Duration = Duration::from_secs(10);
 const STRAY_ENDS: Duration = Duration::from_millis(100);
 /// Between two samples of what a process uses.
 const SAMPLE_EVERY: Duration = Duration::from_secs(1);
-/// Recoveries that are remembered of a process.
-const RECOVERIES: usize = 1000;
 
 /// What to run for a process.
 #[derive(Clone, Debug)]
@@ -53,7 +51,7 @@ impl SignalWatch {
     }
 }
 
-/// Why the graph could not be started.
+/// Why supervision cannot begin.
 #[derive(Debug, thiserror::Error)]
 pub enum SupervisionError {
     /// The signals could not be watched.
@@ -61,13 +59,11 @@ pub enum SupervisionError {
     Signals(std::io::Error),
 }
 
-/// A child that may be adopted, as its supervisor leaves it on record.
+/// A child as its supervisor leaves it on record, for a successor: whether it lives says its claim on the run.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Orphan {
     /// Which process.
     pub process: ProcessId,
-    /// Its number; absent if it did not run.
-    pub pid: Option<u32>,
     /// Which incarnation.
     pub incarnation: u32,
     /// Why it was given up, if it was.
@@ -91,8 +87,6 @@ pub struct ChildStatus {
     pub incarnation: u32,
     /// How often it was restarted under this supervisor.
     pub restarts: u32,
-    /// Times from a death to the first output of the successor that is of a later instant than all before, s; to its first heartbeat for what has no output.
-    pub recoveries_s: Vec<f64>,
     /// When its last heartbeat arrived.
     pub beat_at: Option<HostTime>,
     /// Its last heartbeat.
@@ -108,7 +102,10 @@ pub enum Happening {
     Started(ProcessId, u32),
     /// A child died; it is being restarted after this wait.
     Died(ProcessId, String, Duration),
-    /// A child does not do its work and is killed, or told to end.
+    /// A child has made its first output of a later instant than all before its predecessor's death, or for want of outputs its
+    /// first heartbeat: so long after it.
+    Recovered(ProcessId, Duration),
+    /// A child does not do its work and is killed.
     Ended(ProcessId, String),
     /// A child is done without, for this reason.
     GaveUp(ProcessId, String),
@@ -123,7 +120,6 @@ struct Supervised {
     running: Option<Running>,
     restarts: u32,
     died_at: Option<HostTime>,
-    recoveries_s: Vec<f64>,
     /// Validity of its newest output, whichever incarnation made it, ns.
     newest_ns: i64,
     beat_at: Option<HostTime>,
@@ -153,7 +149,7 @@ impl std::fmt::Debug for Supervision {
 
 impl Supervision {
     /// Starts the graph, but for those that a former supervisor left and that still live. The run's services must exist.
-    pub fn start(commands: Vec<ChildCommand>, signals: SignalWatch, (run, orphans): (&RunDir, &[Orphan])) -> Self {
+    pub fn start(run: &RunDir, commands: Vec<ChildCommand>, signals: SignalWatch, orphans: &[Orphan]) -> Self {
         // What children fork and leave is reaped here; where that is not permitted, by whoever is.
         let _ = rustix::process::set_child_subreaper(Some(rustix::process::getpid()));
         let now = host_now();
@@ -161,13 +157,14 @@ impl Supervision {
         let children = commands.into_iter().map(Supervised::new).collect();
         let mut supervision =
             Self { run: run.clone(), policy, children, signals, groups: Vec::new(), happenings: Vec::new() };
-        orphans.iter().for_each(|orphan| supervision.adopt(run, orphan, now));
+        orphans.iter().for_each(|orphan| supervision.adopt(orphan, now));
         let actions = supervision.policy.begin(now);
         supervision.carry_out(actions);
         supervision
     }
 
-    fn adopt(&mut self, run: &RunDir, orphan: &Orphan, now: HostTime) {
+    fn adopt(&mut self, orphan: &Orphan, now: HostTime) {
+        let run = &self.run;
         let child = self.children.iter_mut().find(|child| child.command.process == orphan.process);
         let Some(child) = child else { return };
         let deaths = orphan.deaths_ns.iter().map(|&ns| HostTime::from_nanos(ns)).collect();
@@ -190,10 +187,9 @@ impl Supervision {
     /// What a successor of this supervisor needs to adopt the children.
     pub fn orphans(&self) -> Vec<Orphan> {
         let orphan = |child: &Supervised| {
-            let (process, running) = (child.command.process, child.running.as_ref());
+            let process = child.command.process;
             Some(Orphan {
                 process,
-                pid: running.map(Running::number),
                 given_up: match self.policy.phase(process) {
                     Some(Phase::GivenUp(why)) => Some(why.clone()),
                     _ => None,
@@ -214,7 +210,6 @@ impl Supervision {
             phase: self.policy.phase(child.command.process).cloned().unwrap_or(Phase::Stopped),
             incarnation: self.policy.incarnation(child.command.process).unwrap_or_default(),
             restarts: child.restarts,
-            recoveries_s: child.recoveries_s.clone(),
             beat_at: child.beat_at,
             health: child.health,
             usage: child.usage,
@@ -233,7 +228,7 @@ impl Supervision {
             let has_refused = child.health.is_some_and(|before| health.dropped > before.dropped);
             (child.beat_at, child.health) = (Some(now), Some(*health));
             if process == ProcessId::Recorder {
-                child.recovered(now);
+                self.happenings.extend(child.recovered(now));
             }
             if has_refused {
                 self.tell(now, process, Event::Refused(incarnation));
@@ -252,7 +247,7 @@ impl Supervision {
             // What a predecessor had made already, published again, is no recovery.
             if stamp.valid_ns > child.newest_ns {
                 child.newest_ns = stamp.valid_ns;
-                child.recovered(now);
+                self.happenings.extend(child.recovered(now));
             }
         }
         self.tell(now, process, Event::Output(stamp.incarnation));
@@ -421,7 +416,6 @@ impl Supervised {
             running: None,
             restarts: 0,
             died_at: None,
-            recoveries_s: Vec::new(),
             newest_ns: i64::MIN,
             beat_at: None,
             started_at: None,
@@ -432,11 +426,9 @@ impl Supervised {
         }
     }
 
-    fn recovered(&mut self, now: HostTime) {
-        if let Some(died_at) = self.died_at.take()
-            && self.recoveries_s.len() < RECOVERIES
-        {
-            self.recoveries_s.push(now.seconds_since(died_at));
-        }
+    /// That it has made something new, if its predecessor had died.
+    fn recovered(&mut self, now: HostTime) -> Option<Happening> {
+        let died_at = self.died_at.take()?;
+        Some(Happening::Recovered(self.command.process, now.saturating_since(died_at)))
     }
 }

@@ -79,7 +79,6 @@ pub fn drive<P: Process>(mut process: P, run: &RunDir, rig: &StereoRig, options:
     run.forget_dying(P::ID);
     ports.keep_black_box(run);
     ports.inject(Injection::new(&options.faults, P::ID, options.incarnation));
-    let mut injection = Injection::new(&options.faults, P::ID, options.incarnation);
     let mut heart = Heart::new();
     tracing::info!(pid = std::process::id(), "up");
     while !stop.load(Ordering::Relaxed) {
@@ -99,7 +98,7 @@ pub fn drive<P: Process>(mut process: P, run: &RunDir, rig: &StereoRig, options:
             None => ports.refresh(),
         }
         let started = host_now();
-        let report = match injection.may_step(ports.now()) {
+        let report = match ports.may_step() {
             true => process.step(&mut ports),
             false => heart.last_report,
         };

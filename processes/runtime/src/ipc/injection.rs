@@ -54,6 +54,7 @@ impl Injection {
         for fault in self.faults.iter().filter(|fault| fault.fault.process() == Some(self.process)) {
             let has_come = first_s < fault.at_s && fault.at_s <= now_s;
             match fault.fault {
+                // Asked for: without such a fault in the run's configuration this is never reached.
                 FaultKind::CrashLoop { .. } if fault.is_on(now_s) => panic!("injected: {fault}"),
                 FaultKind::Hang { .. } if has_come => loop {
                     std::hint::spin_loop();

@@ -12,13 +12,13 @@ mod injection;
 mod lease;
 mod ports;
 mod services;
-pub mod stall;
+mod stall;
 
 pub use black_box::{LastInput, last_inputs};
 pub use drive::{DriveOptions, drive};
 pub use ports::{IpcMessage, IpcPorts};
 pub use services::Services;
-pub use stall::hold_messages;
+pub use stall::{Ballast, hold_messages};
 
 /// What iceoryx2 or the run's folder refused.
 #[derive(Debug, thiserror::Error)]

@@ -192,7 +192,12 @@ impl IpcPorts {
         self.black_box = BlackBox::create(run, self.process).ok();
     }
 
-    /// What is to become of messages.
+    /// Whether injected faults let the process take a step; some of them do not let it go on at all.
+    pub(super) fn may_step(&mut self) -> bool {
+        self.injection.may_step(self.now)
+    }
+
+    /// What is to go wrong from now on.
     pub(super) fn inject(&mut self, injection: Injection) {
         self.injection = injection;
     }
