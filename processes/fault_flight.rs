@@ -1,19 +1,23 @@
-//! One flight of a fault campaign: flown as a user would, by the executable itself; what was left behind is counted.
+//! One flight of a fault campaign or a soak: flown as a user would, by the executable itself; what was left behind is counted.
 
 use crate::fault_file::FaultFile;
 use procfs::process::all_processes;
 use runtime::faults::Fault;
 use runtime::run_dir::RunDir;
+use rustix::process::{Pid, Signal, kill_process};
 use serde::{Deserialize, Serialize};
 use std::error::Error;
 use std::fs;
 use std::os::unix::process::ExitStatusExt;
 use std::path::PathBuf;
-use std::process::{Command, Stdio};
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::time::Duration;
 use supervisor::{Outcome, Summary};
 
 /// A world that waited for anyone longer than this share makes a flight void.
 const CLOCK_RATIO: f64 = 0.98;
+/// Between two looks at whether a flight has ended, or is to end.
+const INTERVAL: Duration = Duration::from_millis(200);
 /// Supervisors that may die in a flight.
 const MOST_TAKEOVERS: u32 = 50;
 
@@ -55,11 +59,11 @@ pub(crate) struct Flown {
 }
 
 impl FaultFlight {
-    /// Flies with these faults.
+    /// Flies with these faults. Whether it is to go on is asked several times a second; if not, it is interrupted.
     ///
     /// # Errors
     /// It cannot be started.
-    pub(crate) fn fly(&self, faults: &[Fault]) -> Result<Flown, Box<dyn Error>> {
+    pub(crate) fn fly(&self, faults: &[Fault], mut goes_on: impl FnMut() -> bool) -> Result<Flown, Box<dyn Error>> {
         fs::create_dir_all(&self.folder)?;
         let file = self.folder.join(format!("{}.ron", self.name));
         fs::write(&file, FaultFile { faults: faults.to_vec() }.to_ron())?;
@@ -76,11 +80,11 @@ impl FaultFlight {
             }
             Ok(command)
         };
-        let mut status = command(false)?.status()?;
+        let mut status = wait(command(false)?.spawn()?, &mut goes_on)?;
         let mut takeovers = 0;
         while status.signal() == Some(9) && takeovers < MOST_TAKEOVERS {
             takeovers += 1;
-            status = command(true)?.status()?;
+            status = wait(command(true)?.spawn()?, &mut goes_on)?;
         }
         // A flight that leaves no account has failed, whatever it flew.
         let text = fs::read_to_string(&summary_file).unwrap_or_default();
@@ -104,7 +108,7 @@ impl FaultFlight {
                 let without: Vec<Fault> = without.map(|(_, fault)| fault.clone()).collect();
                 round += 1;
                 let flight = Self { name: format!("{}-s{round}", self.name), ..self.clone() };
-                if flight.fly(&without)?.verdict == Verdict::Failed {
+                if flight.fly(&without, || true)?.verdict == Verdict::Failed {
                     shorter = Some(without);
                     break;
                 }
@@ -117,6 +121,23 @@ impl FaultFlight {
             tell(faults.len());
         }
         Ok(faults)
+    }
+}
+
+/// Waits for a flight to end.
+fn wait(mut child: Child, goes_on: &mut impl FnMut() -> bool) -> std::io::Result<ExitStatus> {
+    loop {
+        if let Some(status) = child.try_wait()? {
+            return Ok(status);
+        }
+        if !goes_on() {
+            if let Some(pid) = Pid::from_raw(child.id().cast_signed()) {
+                // It may have ended in this moment.
+                let _ = kill_process(pid, Signal::INT);
+            }
+            return child.wait();
+        }
+        std::thread::sleep(INTERVAL);
     }
 }
 

@@ -110,7 +110,7 @@ fn fly(
     let name = format!("{}-{seed}-{}", plan.name().replace('_', "-").get(..5).unwrap_or("fault"), std::process::id());
     let flight = FaultFlight { options, folder: arguments.folder.clone(), name };
     let drawn = draw(plan, seed, arguments.every, UNTIL_S);
-    let flown = flight.fly(&drawn)?;
+    let flown = flight.fly(&drawn, || true)?;
     let rows = rows(&plan.name(), seed, &flown, VERSION);
     append(&arguments.out, &rows)?;
     table.extend(rows);

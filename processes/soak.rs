@@ -1,21 +1,17 @@
 //! `sparrowhawk soak`: one flight for as long as is asked for, to and fro, with random faults; memory, descriptors and shared
 //! memory of its processes over time, as a table and a plot.
 
-use crate::fault_file::FaultFile;
+use crate::fault_flight::{FaultFlight, Flown};
 use crate::fault_plan::{FaultPlan, draw};
 use crate::run_record::RunRecord;
-use crate::say::say;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use plotters::prelude::*;
 use runtime::run_dir::RunDir;
-use rustix::process::{Pid, Signal, kill_process};
 use serde::Serialize;
 use std::error::Error;
-use std::fs;
-use std::os::unix::process::ExitStatusExt;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, ExitCode, ExitStatus, Stdio};
+use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -50,8 +46,8 @@ pub(crate) struct SoakArguments {
     folder: PathBuf,
 }
 
-/// Between two samples.
-const INTERVAL: Duration = Duration::from_secs(1);
+/// Between two samples, s.
+const INTERVAL_S: f64 = 1.0;
 /// Both ends of the way to and fro in the default forest, m.
 const ENDS_M: [&str; 2] = ["58,0,1.5", "8,0,1.5"];
 /// Longest soak, minutes.
@@ -90,13 +86,22 @@ pub(crate) fn soak(arguments: &SoakArguments) -> Result<ExitCode, Box<dyn Error>
     if let Ok(style) = ProgressStyle::with_template("{bar:40} {elapsed} of {len} s   {msg}") {
         bar.set_style(style);
     }
-    let (began, mut samples, mut flights) = (Instant::now(), Vec::new(), Vec::new());
-    while began.elapsed() < length && !stop.load(Ordering::Relaxed) {
-        let flight = Flight::new(arguments, flights.len() as u64);
-        flights.push(flight.fly(length, began, &stop, &mut |sample: Sample| {
-            bar.set_position(sample.at_s as u64);
-            bar.set_message(format!("{:.0} MiB, {} descriptors", sample.resident_mib, sample.descriptors));
-            samples.push(sample);
+    let (began, mut samples, mut flights) = (Instant::now(), Vec::<Sample>::new(), Vec::new());
+    let is_over = || began.elapsed() >= length || stop.load(Ordering::Relaxed);
+    while !is_over() {
+        let number = flights.len() as u64;
+        let flight = flight(arguments, number);
+        let run = RunDir::named(&flight.name)?;
+        let faults = draw(arguments.plan, arguments.seed + number, arguments.every, length.as_secs_f64());
+        flights.push(flight.fly(&faults, || {
+            let at_s = began.elapsed().as_secs_f64();
+            let is_due = samples.last().is_none_or(|last| at_s - last.at_s >= INTERVAL_S);
+            if let Some(sample) = is_due.then(|| RunRecord::read(&run).ok()).flatten().map(|r| sample(&r, &run, at_s)) {
+                bar.set_position(at_s as u64);
+                bar.set_message(format!("{:.0} MiB, {} descriptors", sample.resident_mib, sample.descriptors));
+                samples.push(sample);
+            }
+            !is_over()
         })?);
     }
     bar.finish_and_clear();
@@ -108,95 +113,16 @@ pub(crate) fn soak(arguments: &SoakArguments) -> Result<ExitCode, Box<dyn Error>
     Ok(if is_sound { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
-/// A flight of a soak: the next one follows if it ends before its time.
-struct Flight {
-    name: String,
-    folder: PathBuf,
-    arguments: Vec<String>,
-    faults: PathBuf,
-}
-
-impl Flight {
-    fn new(soak: &SoakArguments, number: u64) -> Self {
-        let name = format!("soak-{}-{number}", std::process::id());
-        let faults = soak.folder.join(format!("{name}.ron"));
-        let legs = (20.0 * soak.minutes).ceil() as usize + 2;
-        let mut arguments: Vec<String> =
-            (0..legs).flat_map(|leg| ["--waypoint", ENDS_M[leg % 2]]).map(str::to_owned).collect();
-        let limit_s = (60.0 * soak.minutes + 60.0).to_string();
-        let (seed, speed) = ((soak.seed + number).to_string(), soak.speed.to_string());
-        arguments.extend(["--time-limit", &limit_s, "--seed", &seed, "--speed", &speed].map(str::to_owned));
-        let file = FaultFile { faults: draw(soak.plan, soak.seed + number, soak.every, 60.0 * soak.minutes) };
-        let written = fs::create_dir_all(&soak.folder).and_then(|()| fs::write(&faults, file.to_ron()));
-        if let Err(error) = written {
-            say(format_args!("{}: {error}", faults.display()));
-        }
-        Self { name, folder: soak.folder.clone(), arguments, faults }
-    }
-
-    fn start(&self, adopts: bool) -> Result<Child, Box<dyn Error>> {
-        let mut command = Command::new(std::env::current_exe()?);
-        command.args(["fly", "--run", &self.name, "--run-dir"]).arg(&self.folder);
-        command.args(&self.arguments).arg("--faults").arg(&self.faults);
-        command.arg("--summary").arg(self.summary());
-        if adopts {
-            command.arg("--adopt");
-        }
-        let log = fs::File::create(self.folder.join(format!("{}.log", self.name)))?;
-        Ok(command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(log).spawn()?)
-    }
-
-    fn summary(&self) -> PathBuf {
-        self.folder.join(format!("{}.json", self.name))
-    }
-
-    /// Flies until the flight ends, or time is over.
-    fn fly(
-        &self,
-        length: Duration,
-        began: Instant,
-        stop: &AtomicBool,
-        take: &mut impl FnMut(Sample),
-    ) -> Result<Summary, Box<dyn Error>> {
-        let run = RunDir::named(&self.name)?;
-        let mut child = self.start(false)?;
-        loop {
-            let status = self.watch(&mut child, &run, length, began, stop, take)?;
-            if status.signal() != Some(9) {
-                break;
-            }
-            child = self.start(true)?;
-        }
-        let text = fs::read_to_string(self.summary()).map_err(|e| format!("{}: {e}", self.summary().display()))?;
-        Ok(serde_json::from_str(&text)?)
-    }
-
-    fn watch(
-        &self,
-        child: &mut Child,
-        run: &RunDir,
-        length: Duration,
-        began: Instant,
-        stop: &AtomicBool,
-        take: &mut impl FnMut(Sample),
-    ) -> std::io::Result<ExitStatus> {
-        loop {
-            if let Some(status) = child.try_wait()? {
-                return Ok(status);
-            }
-            if began.elapsed() >= length || stop.load(Ordering::Relaxed) {
-                if let Some(pid) = Pid::from_raw(child.id().cast_signed()) {
-                    // It may have ended in this moment.
-                    let _ = kill_process(pid, Signal::INT);
-                }
-                return child.wait();
-            }
-            if let Ok(record) = RunRecord::read(run) {
-                take(sample(&record, run, began.elapsed().as_secs_f64()));
-            }
-            std::thread::sleep(INTERVAL);
-        }
-    }
+/// A flight to and fro: the next one follows if it ends before its time.
+fn flight(soak: &SoakArguments, number: u64) -> FaultFlight {
+    let legs = (20.0 * soak.minutes).ceil() as usize + 2;
+    let mut options: Vec<String> =
+        (0..legs).flat_map(|leg| ["--waypoint", ENDS_M[leg % 2]]).map(str::to_owned).collect();
+    let limit_s = (60.0 * soak.minutes + 60.0).to_string();
+    let (seed, speed) = ((soak.seed + number).to_string(), soak.speed.to_string());
+    options.extend(["--time-limit", &limit_s, "--seed", &seed, "--speed", &speed].map(str::to_owned));
+    let name = format!("soak-{}-{number}", std::process::id());
+    FaultFlight { options, folder: soak.folder.clone(), name }
 }
 
 fn sample(record: &RunRecord, run: &RunDir, at_s: f64) -> Sample {
@@ -234,13 +160,15 @@ fn median(samples: &[Sample], of: fn(&Sample) -> f64) -> f64 {
 }
 
 /// Says what it came to; whether nothing was touched and nothing grew.
-fn report(samples: &[Sample], flights: &[Summary]) -> bool {
-    let faults: usize = flights.iter().map(|flight| flight.faults.len()).sum();
-    let deaths: usize = flights.iter().map(|flight| flight.deaths.len()).sum();
-    let collisions = flights.iter().filter(|flight| flight.outcome == Outcome::Collided).count();
-    let lost =
-        flights.iter().filter(|flight| matches!(flight.outcome, Outcome::ProcessLost | Outcome::HandedBack)).count();
-    let path_m: f64 = flights.iter().map(|flight| flight.path_length_m).sum();
+fn report(samples: &[Sample], flights: &[Flown]) -> bool {
+    let told = || flights.iter().filter_map(|flight| flight.summary.as_ref());
+    let faults: usize = told().map(|flight| flight.faults.len()).sum();
+    let deaths: usize = told().map(|flight| flight.deaths.len()).sum();
+    let collisions = told().filter(|flight| flight.outcome == Outcome::Collided).count();
+    let is_lost = |flight: &&Summary| matches!(flight.outcome, Outcome::ProcessLost | Outcome::HandedBack);
+    // Without an account nobody knows what became of it.
+    let lost = told().filter(is_lost).count() + flights.len() - told().count();
+    let path_m: f64 = told().map(|flight| flight.path_length_m).sum();
     let lasted_s = samples.last().map_or(0.0, |sample| sample.at_s);
     println!(
         "{lasted_s:.0} s in {} flight(s), {path_m:.0} m, {faults} faults, {deaths} deaths, {collisions} collision(s), {lost} lost",

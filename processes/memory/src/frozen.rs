@@ -4,7 +4,6 @@
 //! of sensor faults. Two images of a moving camera are never equal to the bit.
 
 use ipc_types::{Camera, Pose, World};
-use xxhash_rust::xxh3::xxh3_64;
 
 /// Values of a cell of an expanded image.
 const LAYERS: usize = 4;
@@ -16,12 +15,12 @@ const TURNED_RAD: f64 = 0.01;
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Frozen(Option<(u64, Pose<World, Camera>)>);
 
-/// What identifies an image; nothing does one that shows the same everywhere, as fog and clear sky do.
-pub(crate) fn digest(pixels: &[u16], cells: usize) -> Option<u64> {
+/// What identifies an image, by its checksum; nothing does one that shows the same everywhere, as fog and clear sky do.
+pub(crate) fn digest(pixels: &[u16], cells: usize, checksum: u64) -> Option<u64> {
     let mut layers = pixels.chunks_exact(LAYERS).take(cells);
     let first = layers.next();
     let shows_something = layers.any(|cell| Some(cell) != first);
-    shows_something.then(|| xxh3_64(bytemuck::cast_slice(pixels)))
+    shows_something.then_some(checksum)
 }
 
 impl Frozen {
@@ -59,7 +58,7 @@ mod tests {
     #[test]
     fn the_same_image_from_elsewhere_is_frozen_and_from_the_same_place_is_not() {
         let mut frozen = Frozen::default();
-        let (one, two) = (digest(&[0, 9, 8, 0, 0, 9, 7, 0], 2), digest(&[0, 9, 8, 0, 0, 9, 6, 0], 2));
+        let (one, two) = (digest(&[0, 9, 8, 0, 0, 9, 7, 0], 2, 1), digest(&[0, 9, 8, 0, 0, 9, 6, 0], 2, 2));
         assert!(!frozen.is_frozen(one, pose(0.0, 0.0)));
         assert!(!frozen.is_frozen(one, pose(0.01, 0.0)), "at rest");
         assert!(
@@ -69,7 +68,7 @@ mod tests {
         assert!(frozen.is_frozen(one, pose(0.0, 0.5)), "turned");
         assert!(!frozen.is_frozen(two, pose(0.6, 0.0)));
         assert!(!frozen.is_frozen(one, pose(0.8, 0.0)));
-        let fog = digest(&[0, 65535, 65535, 0].repeat(9), 9);
+        let fog = digest(&[0, 65535, 65535, 0].repeat(9), 9, 3);
         assert_eq!(fog, None);
         assert!(!frozen.is_frozen(fog, pose(0.8, 0.0)) && !frozen.is_frozen(fog, pose(1.8, 0.0)));
         let mut heir = Frozen::since(one, pose(0.0, 0.0));

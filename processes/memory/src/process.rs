@@ -13,7 +13,7 @@ use ipc_types::rig::CameraMount;
 use ipc_types::topics::{Expanded, Keyframes, Path, State};
 use ipc_types::wire::Stamp;
 use ipc_types::{Body, FlightTime, Point, Pose, ProcessId, World};
-use runtime::images::ImageStore;
+use runtime::images::{ImageStore, checksum};
 use runtime::{Connect, Message, Ports, Process, Report};
 use std::io::ErrorKind;
 
@@ -143,7 +143,8 @@ impl MemoryProcess {
             // What a camera that is frozen by now shows again.
             if let Some((newest, image)) = self.graph.newest().and_then(|node| Some((node, images.get(node.image_id)?)))
             {
-                self.frozen = Frozen::since(digest(&image, self.layout.cells()), newest.world_from_camera);
+                self.frozen =
+                    Frozen::since(digest(&image, self.layout.cells(), checksum(&image)), newest.world_from_camera);
             }
             self.path.extend(record.path.into_iter().take(PATH_LENGTH));
             self.state = record.state;
@@ -267,9 +268,9 @@ impl MemoryProcess {
             self.report.refuse("no state at the exposure of an image");
         }
         match ports.images().put(id, image.elements()) {
-            Ok(()) => {
+            Ok(checksum) => {
                 self.pending = Some((id, exposure));
-                self.digest = digest(image.elements(), self.layout.cells());
+                self.digest = digest(image.elements(), self.layout.cells(), checksum);
             }
             Err(error) if error.kind() != ErrorKind::StorageFull => {
                 self.lost.not_stored += 1;

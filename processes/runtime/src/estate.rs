@@ -24,7 +24,7 @@ pub fn leave<H: Wire, E: Wire>(
     push(&schema_hash::<H, E>().to_le_bytes());
     push(bytemuck::bytes_of(header));
     push(bytemuck::cast_slice(elements));
-    images.put(ImageStore::estate(process), buffer)
+    images.put(ImageStore::estate(process), buffer).map(drop)
 }
 
 /// What a predecessor left; `None` where there is nothing, or nothing of this version.

@@ -48,6 +48,11 @@ impl From<Vec<u16>> for StoredImage {
     }
 }
 
+/// What tells an image from any other, in all likelihood.
+pub fn checksum(pixels: &[u16]) -> u64 {
+    xxh3_64(bytemuck::cast_slice(pixels))
+}
+
 /// Where the images of a run lie.
 #[derive(Clone, Debug)]
 pub enum ImageStore {
@@ -68,21 +73,22 @@ impl ImageStore {
         Self::Memory(Rc::default())
     }
 
-    /// Stores an image under `id`, replacing what was there.
+    /// Stores an image under `id`, replacing what was there. Returns its [`checksum`].
     ///
     /// # Errors
     /// The file cannot be written, for instance because the file system is full; nothing then exists under `id`
     /// that did not before.
-    pub fn put(&mut self, id: u64, pixels: &[u16]) -> io::Result<()> {
+    pub fn put(&mut self, id: u64, pixels: &[u16]) -> io::Result<u64> {
+        let checksum = checksum(pixels);
         match self {
             Self::Memory(images) => {
                 images.borrow_mut().insert(id, StoredImage(Source::Memory(pixels.into())));
-                Ok(())
+                Ok(checksum)
             }
             Self::Folder(folder) => {
                 let bytes: &[u8] = bytemuck::cast_slice(pixels);
                 let mut header = [0_u8; HEADER];
-                for (field, value) in [MAGIC, id, bytes.len() as u64, xxh3_64(bytes)].into_iter().enumerate() {
+                for (field, value) in [MAGIC, id, bytes.len() as u64, checksum].into_iter().enumerate() {
                     header[field * 8..field * 8 + 8].copy_from_slice(&value.to_le_bytes());
                 }
                 // What others leave is theirs to finish.
@@ -90,7 +96,8 @@ impl ImageStore {
                 let temporary = folder.join(format!("{id}.{suffix}"));
                 let mut file = fs::File::create(&temporary)?;
                 let written = file.write_all(&header).and_then(|()| file.write_all(bytes));
-                written.and_then(|()| fs::rename(&temporary, folder.join(id.to_string()))).inspect_err(|_| {
+                let named = written.and_then(|()| fs::rename(&temporary, folder.join(id.to_string())));
+                named.map(|()| checksum).inspect_err(|_| {
                     // Best effort: the next image of this id overwrites it anyway.
                     let _ = fs::remove_file(&temporary);
                 })

@@ -26,8 +26,8 @@ impl Lease {
         Self { run: run.clone(), supervisor, pidfd: watch(supervisor), length, orphaned_since: None }
     }
 
-    /// Whether the supervisor died before this process had begun, and another has taken the run over since: that one has
-    /// started its own.
+    /// Whether the supervisor died before this process had begun, and is not the one that the run names any more: whoever
+    /// has taken the run since starts its own.
     pub(super) fn is_replaced(&self) -> bool {
         let is_dead = !self.pidfd.as_ref().is_some_and(is_alive);
         is_dead && self.run.supervisor() != Some(self.supervisor)
