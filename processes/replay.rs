@@ -206,12 +206,15 @@ fn digest(
                 Happening::Started(..) | Happening::Ended(..) | Happening::Recovered(..) => {}
             }
         }
+        // Before the frames: who says that all have been shown has shown them before.
+        let reports: Vec<Health> =
+            std::iter::from_fn(|| ports.receive::<HealthReports>().map(|report| *report.header())).collect();
         if gathered.take(&mut ports) {
             progress = Instant::now();
         }
-        while let Some(health) = ports.receive::<HealthReports>() {
-            supervision.heard(health.header());
-            gathered.hear(health.header())?;
+        for health in &reports {
+            supervision.heard(health);
+            gathered.hear(health)?;
         }
         if progress.elapsed() > PATIENCE + gathered.longest_gap {
             let waiting: Vec<String> = supervision.status().iter().filter_map(crate::display::complaint).collect();

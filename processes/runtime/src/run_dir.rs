@@ -368,7 +368,7 @@ impl RunDir {
     }
 
     /// The run's iceoryx2 segments.
-    fn segments(&self) -> impl Iterator<Item = PathBuf> {
+    pub(crate) fn segments(&self) -> impl Iterator<Item = PathBuf> {
         let prefix = self.prefix();
         let entries = fs::read_dir(SHARED_MEMORY).into_iter().flatten().flatten();
         let its = entries.filter(move |entry| entry.file_name().as_encoded_bytes().starts_with(prefix.as_bytes()));

@@ -47,8 +47,9 @@ pub(super) fn config(run: &RunDir, is_cleaner: bool) -> Result<Config, IpcError>
     config.global.set_root_path(&Path::new(root.as_os_str().as_encoded_bytes()).doing("name the run's root folder")?);
     config.global.prefix = FileName::new(run.prefix().as_bytes()).doing("name the run's segments")?;
     config.global.creation_timeout = std::time::Duration::from_secs(1);
-    config.global.node.cleanup_dead_nodes_on_creation = is_cleaner;
-    config.global.node.cleanup_dead_nodes_on_destruction = is_cleaner;
+    // [`super::Services`] does that, who first removes what would stop the cleaner.
+    config.global.node.cleanup_dead_nodes_on_creation = false;
+    config.global.node.cleanup_dead_nodes_on_destruction = false;
     config.global.service.cleanup_dead_nodes_on_open = is_cleaner;
     Ok(config)
 }

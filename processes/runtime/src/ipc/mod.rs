@@ -8,6 +8,7 @@ mod black_box;
 mod bus;
 mod clock;
 mod drive;
+mod half_made;
 mod injection;
 mod lease;
 mod ports;

@@ -1,7 +1,7 @@
 //! Every service of a run, created and held by the supervisor, which is also the sole cleaner of dead nodes.
 
 use super::bus::{bell_name, config, node, schema, topic_builder};
-use super::{IpcError, While};
+use super::{IpcError, While, half_made};
 use crate::run_dir::RunDir;
 use iceoryx2::node::NodeCleanupFailure;
 use iceoryx2::prelude::*;
@@ -20,6 +20,7 @@ const SPARE_PORTS: usize = 4;
 /// Holds every service of a run open. While this lives, a process killed at any instant cannot wedge a service.
 #[derive(Debug)]
 pub struct Services {
+    run: RunDir,
     config: Config,
     _held: Vec<Box<dyn Any>>,
     _node: Node<ipc::Service>,
@@ -31,6 +32,7 @@ impl Services {
     /// # Errors
     /// Whatever iceoryx2 refuses.
     pub fn hold(run: &RunDir) -> Result<Self, IpcError> {
+        half_made::remove(run);
         let config = config(run, true)?;
         let node = node(&config, ProcessId::Supervisor)?;
         let mut held: Vec<Box<dyn Any>> = Vec::new();
@@ -51,15 +53,18 @@ impl Services {
                 .doing(format!("create the bell of {process}"))?;
             held.push(Box::new(bell));
         }
-        let services = Self { config, _held: held, _node: node };
+        let services = Self { run: run.clone(), config, _held: held, _node: node };
         // What a dead supervisor has left. The services themselves are held by now.
         services.clean_dead_nodes();
         Ok(services)
     }
 
     /// Removes what dead processes left. To be called after reaping and before restarting.
-    /// Returns how many nodes could not be cleaned.
+    /// Returns how many nodes could not be cleaned; they are tried again at the next death.
     pub fn clean_dead_nodes(&self) -> usize {
+        if !half_made::remove(&self.run) {
+            return 1;
+        }
         let mut failed = 0;
         let listed = Node::<ipc::Service>::list(&self.config, |state| {
             if let NodeState::Dead(view) = state {
@@ -71,6 +76,12 @@ impl Services {
             CallbackProgression::Continue
         });
         failed + usize::from(listed.is_err())
+    }
+}
+
+impl Drop for Services {
+    fn drop(&mut self) {
+        self.clean_dead_nodes();
     }
 }
 
