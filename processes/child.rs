@@ -99,6 +99,7 @@ pub fn run(arguments: &ChildArguments) -> Result<(), Box<dyn Error>> {
         ProcessId::Recorder => {
             let snapshot = config.snapshot();
             let attachments = [(CONFIG, snapshot.as_str()), ("version.txt", VERSION)];
+            let recording = graph::recording(&config, &attachments);
             // A restarted recorder begins a new file: the old one ends where its writer was killed.
             let name = match arguments.incarnation {
                 0 => LOG.to_owned(),
@@ -106,12 +107,13 @@ pub fn run(arguments: &ChildArguments) -> Result<(), Box<dyn Error>> {
             };
             let log = arguments.run_dir.join(name);
             let recorder = match arguments.incarnation {
-                0 => RecorderProcess::create(&log, &attachments, config.record_images, rig)?,
+                0 => RecorderProcess::create(&log, &recording)?,
                 // The disk that its predecessor died of may be full still.
-                _ => RecorderProcess::resume(&log, &attachments, config.record_images, rig),
+                _ => RecorderProcess::resume(&log, &recording),
             };
             drive(recorder, &run, rig, options)?;
         }
+        ProcessId::Bridge => drive(graph::bridge(&config, &arguments.run_dir), &run, rig, options)?,
         ProcessId::Supervisor => return Err("the supervisor is `sparrowhawk fly`".into()),
     }
     Ok(())

@@ -8,8 +8,11 @@ use crate::evaluate::{EvaluateArguments, evaluate};
 use crate::expand::{ExpandArguments, expand};
 use crate::faults::{FaultsArguments, faults};
 use crate::fly::{FlyArguments, fly};
+use crate::ground_station::{GroundArguments, ground};
 use crate::map::{MapArguments, map};
+use crate::recover::{RecoverArguments, recover};
 use crate::replay::{ReplayArguments, replay};
+use crate::report::{ReportArguments, report};
 use crate::run_files::VERSION;
 use crate::soak::{SoakArguments, soak};
 use crate::status::{StatusArguments, status};
@@ -58,6 +61,12 @@ enum Command {
     Soak(SoakArguments),
     /// Watch a flight that is under way: its processes, as a live table.
     Status(StatusArguments),
+    /// See vehicles from the ground, and command them: a page, a table, lines for scripts, or one order.
+    Ground(GroundArguments),
+    /// Make a page (HTML) of a flight's log: path, height, speed, clearance, latencies, health.
+    Report(ReportArguments),
+    /// Make a log that was cut off whole: all that can be read of it, with the index that viewers want.
+    Recover(RecoverArguments),
     /// Check a configuration: every value, and how they fit each other.
     Check(CheckArguments),
     /// One process of a run; the supervisor starts these.
@@ -92,6 +101,9 @@ pub fn run() -> Result<ExitCode, Box<dyn Error>> {
         Command::Faults(arguments) => faults(&arguments),
         Command::Soak(arguments) => soak(&arguments),
         Command::Status(arguments) => status(&arguments),
+        Command::Ground(arguments) => ground(&arguments),
+        Command::Report(arguments) => report(&arguments),
+        Command::Recover(arguments) => recover(&arguments),
         Command::Check(arguments) => check(&arguments),
         Command::Process(arguments) => child::run(&arguments).map(|()| ExitCode::SUCCESS),
     }

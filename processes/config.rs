@@ -254,7 +254,15 @@ impl FlightConfig {
     /// # Errors
     /// It cannot be read, or is not one.
     pub fn load_snapshot(path: &Path) -> Result<Self, ConfigError> {
-        parse(&path.display().to_string(), &read_text(path)?)
+        Self::parse_snapshot(&path.display().to_string(), &read_text(path)?)
+    }
+
+    /// A configuration from what [`FlightConfig::snapshot`] wrote; `name` says where it is from.
+    ///
+    /// # Errors
+    /// It is none.
+    pub fn parse_snapshot(name: &str, text: &str) -> Result<Self, ConfigError> {
+        parse(name, text)
     }
 
     /// The whole configuration as RON.

@@ -66,13 +66,13 @@ pub(crate) fn fly(
     let takeovers = before.map_or(0, |record| record.takeovers + 1);
     let _log = logging::begin(files.folder(), run.name(), ProcessId::Supervisor, takeovers);
     let services = Services::hold(run)?;
-    let mut mission = Mission::new(config.mission.clone(), config.graph.ladder);
-    before.into_iter().for_each(|record| mission.resume(record.passed, record.step()));
+    let mut mission = Mission::new(config.mission.clone(), config.graph.ladder, config.graph.link);
+    before.into_iter().for_each(|record| mission.resume(record.progress.clone(), record.step()));
     let mut ports = IpcPorts::open(run, ProcessId::Supervisor, takeovers, &config.vehicle.rig, |ports| {
         mission.connect(ports);
         ports.follow_flight_clock();
     })?;
-    let commands = config.graph.processes.iter().map(|member| command(run, files.folder(), member));
+    let commands = config.graph.flying().map(|member| command(run, files.folder(), member));
     let commands = commands.collect::<std::io::Result<Vec<_>>>()?;
     // A process of which no flight has one: it is to be refused for its version, not for being the second.
     let player = config.graph.processes.first().map(|member| Member { process: ProcessId::Player, ..member.clone() });
@@ -118,7 +118,7 @@ impl FlightRun<'_> {
         happenings.iter().for_each(|happening| self.tell(happening, &before));
         let children = self.supervision.status();
         self.mission.see_processes(&children);
-        let is_urgent = !happenings.is_empty() || self.injector.is_last_round();
+        let is_urgent = self.mission.take_news() || !happenings.is_empty() || self.injector.is_last_round();
         let (injector, deaths) = (&self.injector, &self.deaths);
         let degradation = || self.degradation.iter().chain(self.mission.recorder().degradation()).cloned().collect();
         let account = || Account { faults: injector.injected(), deaths: deaths.clone(), degradation: degradation() };

@@ -6,7 +6,7 @@ use crate::draw::Pictures;
 use crate::fault_file::FaultFile;
 use crate::flight_report::report;
 use crate::flight_run;
-use crate::graph::Flight;
+use crate::graph::{self, Flight};
 use crate::numbers::parse_numbers;
 use crate::run_files::{CONFIG, RunFiles, VERSION, fresh_name};
 use crate::run_record::RunRecord;
@@ -77,6 +77,16 @@ pub(crate) struct FlyArguments {
     /// Record images too.
     #[arg(long)]
     pub(crate) record_images: bool,
+    /// Let the ground see it, and command it: listen here, tcp/127.0.0.1:7447, or tls/ADDRESS:PORT with the certificates that the
+    /// graph's file names. Repeat for more.
+    #[arg(long, value_name = "ENDPOINT", conflicts_with = "lockstep")]
+    pub(crate) listen: Vec<String>,
+    /// Connect to a router or to the ground.
+    #[arg(long, value_name = "ENDPOINT", conflicts_with = "lockstep")]
+    pub(crate) connect: Vec<String>,
+    /// What the vehicle is called on the network, where not as its graph's file says.
+    #[arg(long, value_name = "NAME")]
+    pub(crate) vehicle: Option<String>,
     /// Name of the run; two runs at a time need two names.
     #[arg(long, value_name = "NAME")]
     pub(crate) run: Option<String>,
@@ -112,6 +122,10 @@ impl FlyArguments {
         config.mission.goal_m = self.goal.unwrap_or(config.mission.goal_m);
         config.mission.cruise_speed_mps = self.speed.unwrap_or(config.mission.cruise_speed_mps);
         config.mission.time_limit_s = self.time_limit.unwrap_or(config.mission.time_limit_s);
+        let bridge = &mut config.graph.bridge;
+        bridge.listen.extend_from_slice(&self.listen);
+        bridge.connect.extend_from_slice(&self.connect);
+        self.vehicle.iter().for_each(|name| bridge.vehicle.clone_from(name));
         config.check()?;
         Ok(config)
     }
@@ -179,7 +193,7 @@ fn fly_in_lockstep(config: &FlightConfig, files: &RunFiles, draw: &[f64]) -> Res
     crate::cli::stop_on_signals(&stop)?;
     let snapshot = config.snapshot();
     let attachments = [(CONFIG, snapshot.as_str()), ("version.txt", VERSION)];
-    let recorder = RecorderProcess::create(&files.log(), &attachments, config.record_images, &config.vehicle.rig)?;
+    let recorder = RecorderProcess::create(&files.log(), &graph::recording(config, &attachments))?;
     let mut display = Display::new(config.mission.goal());
     let mut flight = Flight::new(config, Some(recorder))?;
     let mut pictures = Pictures::new(config, flight.scene(), draw, files.folder());

@@ -1,15 +1,18 @@
 //! From configuration to processes.
 
 use crate::config::{FlightConfig, VehicleConfig};
+use bridge::{About, BridgeProcess};
 use controller::ControllerProcess;
 use expansion::{ExpansionProcess, Reach};
 use ipc_types::ProcessId;
+use ipc_types::topics::TOPICS;
 use memory::{MapModel, MemoryProcess};
 use planner::{PlannerProcess, TakeOff};
-use recorder::RecorderProcess;
+use recorder::{RecorderProcess, Recording};
 use runtime::lockstep::Lockstep;
 use simulator::{SimulatorProcess, SimulatorSetup, World, WorldError};
 use std::cell::RefCell;
+use std::path::Path;
 use std::rc::Rc;
 use std::sync::Arc;
 use stereo_ingest::{Source, StereoProcess};
@@ -110,6 +113,25 @@ pub fn simulator(config: &FlightConfig) -> Result<SimulatorSetup, WorldError> {
     })
 }
 
+/// The bridge of a configuration, for a run whose files are in that folder.
+pub(crate) fn bridge(config: &FlightConfig, folder: &Path) -> BridgeProcess {
+    let messages: Vec<_> = TOPICS.iter().map(|topic| (topic.header, topic.element)).collect();
+    let about =
+        About { schema: encoding::descriptor_set(&messages), config: config.snapshot(), folder: folder.to_owned() };
+    let VehicleConfig { rig, mount, .. } = config.vehicle;
+    let most_px = match reach(&config.vehicle) {
+        Reach::Matched { most_px } => most_px,
+        Reach::Ranged { nearest_m } => rig.disparity_px(nearest_m) as f32,
+    };
+    BridgeProcess::new(config.graph.bridge.clone(), about, rig, mount, most_px)
+}
+
+/// What is recorded of a flight, with texts attached (name, content).
+pub(crate) fn recording<'a>(config: &FlightConfig, attachments: &'a [(&'a str, &'a str)]) -> Recording<'a> {
+    let (rig, mount) = (config.vehicle.rig, config.vehicle.mount);
+    Recording { attachments, images: config.record_images, rig, mount, config: config.graph.recorder }
+}
+
 /// What of a flight in lockstep may be looked at between two steps.
 #[derive(Clone, Debug)]
 pub struct Scene {
@@ -135,12 +157,12 @@ impl Flight {
     /// There is no world to fly in.
     pub fn new(config: &FlightConfig, recorder: Option<RecorderProcess>) -> Result<Self, WorldError> {
         let mut lockstep = Lockstep::new(config.seed, config.graph.latency.clone());
-        let mission = lockstep.add(Mission::new(config.mission.clone(), config.graph.ladder));
+        let mission = lockstep.add(Mission::new(config.mission.clone(), config.graph.ladder, config.graph.link));
         let simulator = lockstep.add(SimulatorProcess::inline(simulator(config)?));
         lockstep.add(stereo_ingest(config));
         lockstep.add(expansion(config));
         lockstep.add(memory(config));
-        let planner = lockstep.add(planner(config));
+        let planner = lockstep.add(planner(config).prepared());
         lockstep.add(controller(config));
         recorder.map(|recorder| lockstep.add(recorder));
         Ok(Self { lockstep, mission, planner, simulator })

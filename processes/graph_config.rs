@@ -1,12 +1,14 @@
 //! The process graph as configured: which processes run, what their deaths mean, and how long their steps take in
 //! lockstep.
 
+use bridge::BridgeConfig;
 use ipc_types::ProcessId;
 use ipc_types::bounds::Bounds;
+use recorder::RecorderConfig;
 use runtime::Resources;
 use runtime::lockstep::LatencyModel;
 use serde::{Deserialize, Serialize};
-use supervisor::{Criticality, LadderConfig, Rule};
+use supervisor::{Criticality, LadderConfig, LinkConfig, Rule};
 
 /// A process of the graph.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -30,6 +32,12 @@ pub struct GraphConfig {
     pub lease_s: f64,
     /// How far a flight is scaled down for what does not work.
     pub ladder: LadderConfig,
+    /// Who commands, and what follows when he is not heard any more.
+    pub link: LinkConfig,
+    /// Whom the vehicle talks to, and how much; nobody, and no bridge is started.
+    pub bridge: BridgeConfig,
+    /// How much is recorded into how many files.
+    pub recorder: RecorderConfig,
     /// Latencies of the lockstep driver.
     pub latency: LatencyModel,
 }
@@ -47,8 +55,14 @@ const NEEDED: [ProcessId; 6] = [
 impl GraphConfig {
     /// The processes that make something of a frame, whoever delivers it: without world and vehicle, and those who fly it.
     pub(crate) fn digesting(&self) -> impl Iterator<Item = Member> {
-        let flies = |process| matches!(process, ProcessId::Simulator | ProcessId::Planner | ProcessId::Controller);
+        use ProcessId::{Bridge, Controller, Planner, Simulator};
+        let flies = |process| matches!(process, Simulator | Planner | Controller | Bridge);
         self.processes.iter().filter(move |member| !flies(member.process)).cloned()
+    }
+
+    /// The processes of a flight.
+    pub(crate) fn flying(&self) -> impl Iterator<Item = &Member> {
+        self.processes.iter().filter(|member| member.process != ProcessId::Bridge || self.bridge.is_on())
     }
 
     /// What a process may use of the machine; all of it for one that is no member.
@@ -60,6 +74,9 @@ impl GraphConfig {
     pub(crate) fn check(&self, bounds: &mut Bounds) {
         bounds.range("lease_s", self.lease_s, 0.0..=60.0);
         bounds.section("ladder", |bounds| self.ladder.check(bounds));
+        bounds.section("link", |bounds| self.link.check(bounds));
+        bounds.section("bridge", |bounds| self.bridge.check(bounds));
+        bounds.section("recorder", |bounds| self.recorder.check(bounds));
         bounds.section("latency", |bounds| self.latency.check(bounds));
         bounds.section("processes", |bounds| {
             let times = |process| self.processes.iter().filter(|member| member.process == process).count();

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 use std::path::PathBuf;
 use supervisor::{
-    ChildStatus, DeathSummary, LatencySummary, Mission, Orphan, Phase, RungSummary, Step, Supervision, Usage,
+    ChildStatus, DeathSummary, LatencySummary, Mission, Orphan, Phase, Progress, RungSummary, Step, Supervision, Usage,
 };
 
 /// A process as the record has it.
@@ -52,8 +52,7 @@ pub(crate) struct RunRecord {
     /// Host time of this record, ns.
     pub(crate) written_ns: i64,
     pub(crate) flight_s: f64,
-    /// Waypoints passed.
-    pub(crate) passed: usize,
+    pub(crate) progress: Progress,
     pub(crate) rung: String,
     pub(crate) speed_share: f64,
     pub(crate) reason: String,
@@ -171,7 +170,7 @@ impl Recordkeeper {
             takeovers: self.takeovers,
             written_ns: now.as_nanos(),
             flight_s: mission.now().as_secs_f64(),
-            passed: mission.passed(),
+            progress: mission.progress(),
             rung: mission.rung().rung.name().to_owned(),
             speed_share: mission.rung().speed_share,
             reason: mission.rung().reason.clone(),

@@ -15,10 +15,8 @@ fn kill(pid: u32, signal: Signal) {
 
 /// Every message of a topic in a run's log, or in what was written of it so far.
 fn logged(run: &Run, topic: &str) -> Vec<Value> {
-    let bytes = std::fs::read(run.log()).unwrap_or_default();
-    let Ok(messages) = mcap::MessageStream::new(&bytes) else { return Vec::new() };
-    let of_topic = messages.map_while(Result::ok).filter(|message| message.channel.topic == topic);
-    of_topic.map(|message| serde_json::from_slice(&message.data).expect("JSON")).collect()
+    // There may be no file yet, or only its beginning.
+    recorder::Log::open(&run.log()).and_then(|log| log.json(topic)).unwrap_or_default()
 }
 
 /// Waits until the vehicle is that far on its way: asked whenever the log grows, which it does twice a second.

@@ -49,19 +49,13 @@ fn right_percent(image: &Path) -> f64 {
 
 /// Exposures of the keyframes in a run's log, in ms of the machine's clock.
 fn exposures_ms(run: &Run) -> Vec<f64> {
-    let bytes = std::fs::read(run.log()).expect("a log");
-    let (mut offset_ns, mut exposures_ns) = (0, Vec::new());
-    for message in mcap::MessageStream::new(&bytes).expect("readable") {
-        let message = message.expect("readable");
-        let json: Value = serde_json::from_slice(&message.data).expect("JSON");
-        let integer = |value: &Value| value.as_i64().expect("an integer");
-        match message.channel.topic.as_str() {
-            "flight_clock" => offset_ns = integer(&json["host_ns"]) - integer(&json["flight_ns"]),
-            "keyframe_set" => exposures_ns.push(integer(&json["stamp"]["valid_ns"])),
-            _ => {}
-        }
-    }
-    exposures_ns.iter().map(|&at_ns| (at_ns + offset_ns) as f64 * 1e-6).collect()
+    let log = recorder::Log::open(&run.log()).expect("a log");
+    let integer = |value: &Value| value.as_i64().expect("an integer");
+    let clock = log.json("flight_clock").expect("readable");
+    let offset_ns = clock.last().map(|clock| integer(&clock["host_ns"]) - integer(&clock["flight_ns"]));
+    let offset_ns = offset_ns.expect("the clock was read");
+    let sets = log.json("keyframe_set").expect("readable");
+    sets.iter().map(|set| (integer(&set["stamp"]["valid_ns"]) + offset_ns) as f64 * 1e-6).collect()
 }
 
 /// A EuRoC folder of `frames` exposures, 50 ms apart, in which some things are wrong.

@@ -27,11 +27,13 @@ pub enum ProcessId {
     Player = 8,
     /// Live cameras → frames.
     Camera = 9,
+    /// Topics ↔ network.
+    Bridge = 10,
 }
 
 impl ProcessId {
     /// All of them, in start-up order.
-    pub const ALL: [Self; 10] = [
+    pub const ALL: [Self; 11] = [
         Self::Supervisor,
         Self::Simulator,
         Self::StereoIngest,
@@ -42,6 +44,7 @@ impl ProcessId {
         Self::Recorder,
         Self::Player,
         Self::Camera,
+        Self::Bridge,
     ];
 
     /// Name on the command line, in logs and in shared memory.
@@ -57,6 +60,7 @@ impl ProcessId {
             Self::Recorder => "recorder",
             Self::Player => "player",
             Self::Camera => "camera",
+            Self::Bridge => "bridge",
         }
     }
 

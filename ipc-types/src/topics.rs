@@ -5,7 +5,7 @@
 use crate::messages::*;
 use crate::process::ProcessId::{self, *};
 use crate::rig::StereoRig;
-use crate::wire::{Header, Wire, schema_hash};
+use crate::wire::{Header, Kind, Wire, schema_hash};
 
 /// A consumer of a topic.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -28,10 +28,12 @@ const fn reads(process: ProcessId) -> Consumer {
 pub struct TopicInfo {
     /// Name on the bus, in logs and in reports.
     pub name: &'static str,
-    /// Versioned name of the header type.
-    pub header_type: &'static str,
-    /// Versioned name of the element type.
-    pub element_type: &'static str,
+    /// What a header is made of.
+    pub header: Kind,
+    /// What an element is made of.
+    pub element: Kind,
+    /// Hash of both layouts; a service, or a log, with another hash is refused.
+    pub schema_hash: fn() -> u64,
     /// Nominal rate, Hz.
     pub rate_hz: f64,
     /// Messages a late subscriber still gets.
@@ -57,11 +59,6 @@ pub trait Topic: 'static {
 
     /// Largest number of elements of a message.
     fn max_elements(rig: &StereoRig) -> usize;
-
-    /// Hash of both layouts; a service with another hash is refused.
-    fn schema_hash() -> u64 {
-        schema_hash::<Self::Header, Self::Element>()
-    }
 }
 
 /// Depth of the recorder's buffers: more than a second of the fastest topic, so that a busy disk loses nothing.
@@ -87,7 +84,10 @@ macro_rules! for_each_topic {
             Plan,
             Setpoints,
             HealthReports,
-            Rungs
+            Rungs,
+            Commands,
+            Answers,
+            MissionStates
         );
     };
 }
@@ -105,8 +105,9 @@ macro_rules! topics {
                 type Element = $element;
                 const INFO: TopicInfo = TopicInfo {
                     name: $name,
-                    header_type: <$header>::TYPE_NAME,
-                    element_type: <$element>::TYPE_NAME,
+                    header: <$header>::KIND,
+                    element: <$element>::KIND,
+                    schema_hash: schema_hash::<$header, $element>,
                     rate_hz: $rate,
                     history: $history,
                     depth: $depth,
@@ -137,41 +138,50 @@ topics! {
         from [Simulator], to [reads(Recorder), reads(Supervisor)];
     /// State estimate.
     State: "vehicle_state", VehicleState, [u8; NONE], 100.0 Hz, history 1, depth 16, image false,
-        from [Simulator, Player], to [wakes(Memory), reads(Planner), wakes(Controller), reads(Recorder), reads(Supervisor)];
+        from [Simulator, Player], to [wakes(Memory), reads(Planner), wakes(Controller), reads(Recorder), reads(Supervisor), reads(Bridge)];
     /// Stereo pairs.
     StereoFrames: "stereo_frame", StereoFrame, [u8; |rig| 2 * rig.pixels()], 12.5 Hz, history 1, depth 1, image true,
-        from [Simulator, Player, Camera], to [wakes(StereoIngest), reads(Recorder), reads(Supervisor)];
+        from [Simulator, Player, Camera], to [wakes(StereoIngest), reads(Recorder), reads(Supervisor), reads(Bridge)];
     /// Depth images, and disparity images that the sensor matched itself.
     DepthFrames: "depth_frame", DepthFrame, [u16; |rig| rig.pixels()], 12.5 Hz, history 1, depth 1, image true,
         from [Simulator, Player, Camera], to [wakes(StereoIngest), reads(Recorder), reads(Supervisor)];
     /// Disparity images.
     Disparity: "disparity_image", DisparityImage, [u16; |rig| rig.pixels()], 12.5 Hz, history 1, depth 1, image true,
-        from [StereoIngest], to [wakes(Expansion), reads(Recorder), reads(Supervisor)];
+        from [StereoIngest], to [wakes(Expansion), reads(Recorder), reads(Supervisor), reads(Bridge)];
     /// Configuration-space images.
     Expanded: "expanded_image", ExpandedImage, [u16; |rig| ExpandedLayout::largest(rig).elements()], 12.5 Hz, history 1, depth 1, image true,
         from [Expansion], to [wakes(Memory), reads(Recorder), reads(Supervisor)];
     /// The disparity graph.
     Keyframes: "keyframe_set", KeyframeSet, [Keyframe; |_| 64], 12.5 Hz, history 1, depth 1, image false,
-        from [Memory], to [wakes(Planner), reads(Recorder), reads(Supervisor)];
+        from [Memory], to [wakes(Planner), reads(Recorder), reads(Supervisor), reads(Bridge)];
     /// The path flown.
     Path: "flown_path", FlownPath, [PathPoint; |_| 512], 12.5 Hz, history 1, depth 1, image false,
-        from [Memory], to [reads(Planner), reads(Recorder)];
+        from [Memory], to [reads(Planner), reads(Recorder), reads(Bridge)];
     /// Goals.
     Goals: "goal", Goal, [u8; NONE], 2.0 Hz, history 1, depth 1, image false,
-        from [Supervisor, Player], to [reads(Planner), reads(Recorder)];
+        from [Supervisor, Player], to [reads(Planner), reads(Recorder), reads(Bridge)];
     /// Trajectories.
     Plan: "trajectory", Trajectory, [TrajectoryPoint; |_| 256], 12.5 Hz, history 1, depth 1, image false,
-        from [Planner], to [wakes(Controller), reads(Recorder), reads(Supervisor)];
+        from [Planner], to [wakes(Controller), reads(Recorder), reads(Supervisor), reads(Bridge)];
     /// Setpoints.
     Setpoints: "setpoint", Setpoint, [u8; NONE], 50.0 Hz, history 1, depth 1, image false,
-        from [Controller], to [reads(Simulator), reads(Recorder), reads(Supervisor)];
+        from [Controller], to [reads(Simulator), reads(Recorder), reads(Supervisor), reads(Bridge)];
     /// Heartbeats.
     HealthReports: "health", Health, [u8; NONE], 10.0 Hz, history 1, depth 32, image false,
-        from [Simulator, Player, Camera, StereoIngest, Expansion, Memory, Planner, Controller, Recorder],
-        to [reads(Player), reads(Recorder), reads(Supervisor)];
+        from [Simulator, Player, Camera, StereoIngest, Expansion, Memory, Planner, Controller, Recorder, Bridge],
+        to [reads(Player), reads(Recorder), reads(Supervisor), reads(Bridge)];
     /// Rungs of the degradation ladder.
     Rungs: "degradation", Degradation, [u8; NONE], 2.0 Hz, history 1, depth 4, image false,
-        from [Supervisor], to [reads(Recorder)];
+        from [Supervisor], to [reads(Recorder), reads(Bridge)];
+    /// What operators ask for.
+    Commands: "command", Command, [Waypoint; |_| 64], 2.0 Hz, history 1, depth 32, image false,
+        from [Bridge], to [reads(Supervisor), reads(Recorder)];
+    /// What became of it.
+    Answers: "answer", Answer, [u8; NONE], 2.0 Hz, history 1, depth 32, image false,
+        from [Supervisor], to [reads(Memory), reads(Recorder), reads(Bridge)];
+    /// How far the mission is.
+    MissionStates: "mission", MissionState, [Waypoint; |_| 64], 2.0 Hz, history 1, depth 1, image false,
+        from [Supervisor], to [reads(Recorder), reads(Bridge)];
 }
 
 #[cfg(test)]

@@ -7,34 +7,141 @@ use xxhash_rust::xxh3::xxh3_64;
 /// A type that may be put in shared memory and in logs.
 ///
 /// `Pod` already proves `repr(C)`, no padding, no pointers and no invalid bit pattern. The name carries a version,
-/// and the layout text (name, field, type, offset) is hashed into every service, so that a process built with
-/// other messages is refused instead of misread.
+/// and the layout (names, types, offsets) is hashed into every service, so that a process built with other messages is
+/// refused instead of misread. The same description makes the messages readable outside: schemas are generated from it.
 pub trait Wire: Pod {
-    /// Versioned name, e.g. `sparrowhawk/Goal/1`.
-    const TYPE_NAME: &'static str;
+    /// What it is made of.
+    const KIND: Kind;
 
-    /// One line for the type, then one per field: `offset name: type`.
-    fn layout() -> String;
+    /// One line for the type, then one per field: `offset name: type`; then the same of the types within.
+    fn layout() -> String {
+        Self::KIND.layout()
+    }
+}
+
+/// What a wire type is made of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// A byte.
+    U8,
+    /// Two bytes.
+    U16,
+    /// Four bytes.
+    U32,
+    /// Eight bytes.
+    U64,
+    /// Eight bytes, signed.
+    I64,
+    /// Single precision.
+    F32,
+    /// Double precision.
+    F64,
+    /// A [`Text`].
+    Text,
+    /// So many of one kind.
+    Array(&'static Kind, usize),
+    /// Fields.
+    Struct(&'static Shape),
+}
+
+/// The fields of a wire struct.
+#[derive(Debug, PartialEq, Eq)]
+pub struct Shape {
+    /// Versioned name, e.g. `sparrowhawk/Goal/1`.
+    pub name: &'static str,
+    /// Size, bytes.
+    pub bytes: usize,
+    /// In order; without gaps.
+    pub fields: &'static [Field],
+}
+
+/// A field of a wire struct.
+#[derive(Debug, PartialEq, Eq)]
+pub struct Field {
+    /// Name.
+    pub name: &'static str,
+    /// First byte.
+    pub offset: usize,
+    /// What it holds.
+    pub kind: Kind,
+}
+
+impl Kind {
+    /// Name of the type; a struct's is versioned, an array's is that of what it is an array of.
+    pub const fn name(&self) -> &'static str {
+        match self {
+            Self::U8 => "u8",
+            Self::U16 => "u16",
+            Self::U32 => "u32",
+            Self::U64 => "u64",
+            Self::I64 => "i64",
+            Self::F32 => "f32",
+            Self::F64 => "f64",
+            Self::Text => "Text",
+            Self::Array(kind, _) => kind.name(),
+            Self::Struct(shape) => shape.name,
+        }
+    }
+
+    /// Size, bytes.
+    pub const fn bytes(&self) -> usize {
+        match self {
+            Self::U8 => 1,
+            Self::U16 => 2,
+            Self::U32 | Self::F32 => 4,
+            Self::U64 | Self::I64 | Self::F64 => 8,
+            Self::Text => Text::CAPACITY,
+            Self::Array(kind, length) => kind.bytes() * *length,
+            Self::Struct(shape) => shape.bytes,
+        }
+    }
+
+    /// The fields of a struct; none of anything else.
+    pub const fn fields(&self) -> &'static [Field] {
+        match self {
+            Self::Struct(shape) => shape.fields,
+            _ => &[],
+        }
+    }
+
+    fn layout(&self) -> String {
+        let mut text = format!("{} ({} bytes)", self.name(), self.bytes());
+        for field in self.fields() {
+            let name = match field.kind {
+                Self::Array(kind, length) => format!("[{}; {length}]", kind.name()),
+                kind => kind.name().to_owned(),
+            };
+            text += &format!("\n  {:4} {}: {name}", field.offset, field.name);
+        }
+        for field in self.fields().iter().filter(|field| !field.kind.fields().is_empty()) {
+            text += &format!("\n{}", field.kind.layout());
+        }
+        text
+    }
 }
 
 macro_rules! primitive {
-    ($($ty:ident),*) => {$(
+    ($($ty:ident = $kind:ident),*) => {$(
         impl Wire for $ty {
-            const TYPE_NAME: &'static str = stringify!($ty);
-            fn layout() -> String {
-                stringify!($ty).to_owned()
-            }
+            const KIND: Kind = Kind::$kind;
         }
     )*};
 }
-primitive!(u8, u16);
+primitive!(u8 = U8, u16 = U16, u32 = U32, u64 = U64, i64 = I64, f32 = F32, f64 = F64, Text = Text);
+
+impl<T: Wire, const N: usize> Wire for [T; N]
+where
+    Self: Pod,
+{
+    const KIND: Kind = Kind::Array(&T::KIND, N);
+}
 
 /// Hash of a message's header and element layouts.
 pub fn schema_hash<H: Wire, E: Wire>() -> u64 {
     xxh3_64(format!("{}\n{}", H::layout(), E::layout()).as_bytes())
 }
 
-/// Declares a wire struct: `repr(C)`, plain old data, serialisable for logs, with its layout on record.
+/// Declares a wire struct: `repr(C)`, plain old data, serialisable as JSON, with its layout on record.
 macro_rules! wire {
     ($(#[$meta:meta])* $name:ident = $type_name:literal { $($(#[$field_meta:meta])* $field:ident: $ty:ty,)* }) => {
         $(#[$meta])*
@@ -45,12 +152,15 @@ macro_rules! wire {
         }
 
         impl $crate::wire::Wire for $name {
-            const TYPE_NAME: &'static str = $type_name;
-            fn layout() -> String {
-                let mut text = format!("{} ({} bytes)", $type_name, size_of::<Self>());
-                $(text += &format!("\n  {:4} {}: {}", std::mem::offset_of!(Self, $field), stringify!($field), stringify!($ty));)*
-                text
-            }
+            const KIND: $crate::wire::Kind = $crate::wire::Kind::Struct(&$crate::wire::Shape {
+                name: $type_name,
+                bytes: size_of::<Self>(),
+                fields: &[$($crate::wire::Field {
+                    name: stringify!($field),
+                    offset: std::mem::offset_of!(Self, $field),
+                    kind: <$ty as $crate::wire::Wire>::KIND,
+                }),*],
+            });
         }
     };
 }

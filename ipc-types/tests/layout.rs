@@ -12,7 +12,7 @@ fn wire_layouts_match_the_snapshot() {
             found.push(format!(
                 "topic {} schema {:016x}\n{}\nelements: {}",
                 $topic::INFO.name,
-                $topic::schema_hash(),
+                ($topic::INFO.schema_hash)(),
                 <$topic as Topic>::Header::layout(),
                 <$topic as Topic>::Element::layout()
             ));

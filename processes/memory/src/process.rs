@@ -7,11 +7,11 @@ use crate::Config;
 use crate::frozen::{Frozen, digest};
 use crate::graph::{DisparityGraph, GraphRule, Node};
 use crate::record::{self, LastState, describe};
-use ipc_types::messages::{ExpandedLayout, Keyframe, PathPoint};
+use ipc_types::messages::{ExpandedLayout, Keyframe, Order, PathPoint};
 use ipc_types::pose_history::{PoseAt, PoseHistory};
 use ipc_types::rig::CameraMount;
-use ipc_types::topics::{Expanded, Keyframes, Path, State};
-use ipc_types::wire::Stamp;
+use ipc_types::topics::{Answers, Expanded, Keyframes, Path, State};
+use ipc_types::wire::{Stamp, Text};
 use ipc_types::{Body, FlightTime, Point, Pose, ProcessId, World};
 use runtime::images::{ImageStore, checksum};
 use runtime::{Connect, Message, Ports, Process, Report};
@@ -24,6 +24,8 @@ const STATES: usize = 6000;
 /// Between two states the vehicle moves no more than this, m and m/s, however long that is: else the estimate has jumped.
 const JUMP: (f64, f64) = (2.0, 60.0);
 const LONGEST_S: f64 = 0.5;
+/// What was asked for longer ago than this was heeded by a predecessor, s.
+const ASKED_S: f64 = 1.0;
 /// A late state that has turned by more than this is no correction, rad.
 const TURN_RAD: f64 = 0.5;
 /// Corrections that add up to this make the path flown another, m.
@@ -64,6 +66,8 @@ pub struct MemoryProcess {
     valid: FlightTime,
     /// How far late states have moved what was known, since the path was last cleared, m.
     corrected_m: f64,
+    /// The last command to clear the map that was heeded: by whom, and its number.
+    cleared: Option<(Text, u64)>,
     /// Images that are no nodes any more, to be removed once that is known.
     forgotten: Vec<u64>,
     report: Report,
@@ -121,6 +125,7 @@ impl MemoryProcess {
             record: Vec::new(),
             valid: FlightTime::from_nanos(0),
             corrected_m: 0.0,
+            cleared: None,
             forgotten: Vec::new(),
             report: Report::waiting("waiting for expanded images"),
         }
@@ -232,6 +237,26 @@ impl MemoryProcess {
         self.states = PoseHistory::new(STATES);
         self.path.clear();
         self.report.refuse("the estimate of the pose has jumped: the map begins anew");
+    }
+
+    /// Forgets what was seen, but for where the vehicle flew by, if an operator asks for that.
+    fn clear_if_asked(&mut self, ports: &mut impl Ports) -> bool {
+        let mut is_asked = false;
+        while let Some(answer) = ports.receive::<Answers>() {
+            let answer = *answer.header();
+            let age_s = ports.now().seconds_since(FlightTime::from_nanos(answer.stamp.published_ns));
+            let is_followed = answer.accepted == 1 && answer.order == Order::ClearMap as u32;
+            if is_followed && age_s < ASKED_S {
+                // A command that comes twice is answered twice.
+                let command = (answer.operator, answer.number);
+                is_asked |= self.cleared.replace(command) != Some(command);
+            }
+        }
+        if is_asked {
+            let forgotten = &mut self.forgotten;
+            self.graph.clear(|id| forgotten.push(id));
+        }
+        is_asked
     }
 
     /// Puts the newest expanded image into the store, where it waits for the pose of its exposure.
@@ -346,6 +371,7 @@ impl Process for MemoryProcess {
     fn connect(&self, connect: &mut impl Connect) {
         connect.reads::<State>();
         connect.reads::<Expanded>();
+        connect.reads::<Answers>();
         connect.writes::<Keyframes>();
         connect.writes::<Path>();
     }
@@ -357,6 +383,7 @@ impl Process for MemoryProcess {
         let news = self.take_states(ports);
         // An empty map is published once, so that nobody goes on with the old one; it is as old as what it says.
         let mut changed = news.jumped || news.cleared && self.graph.newest().is_some();
+        changed |= self.clear_if_asked(ports);
         if news.corrected {
             let (states, mount) = (&self.states, self.mount.body_from_camera());
             let pose_at = |exposure| match states.at(exposure) {

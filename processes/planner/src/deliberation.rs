@@ -68,6 +68,11 @@ impl Deliberation {
         }
     }
 
+    /// Makes a part of the library that has not been asked for yet; whether there was one.
+    pub(crate) fn prepare(&self) -> bool {
+        self.library.prepare()
+    }
+
     /// Candidates of the library.
     pub(crate) fn library_size(&self) -> usize {
         self.library.size()

@@ -11,6 +11,7 @@ use crate::route::Timed;
 use ipc_types::{Point, Vector, World};
 use serde::{Deserialize, Serialize};
 use std::f64::consts::FRAC_PI_2;
+use std::sync::OnceLock;
 
 /// How long a manoeuvre holds its first velocity, s.
 pub(crate) const SWITCH_S: f64 = 0.8;
@@ -76,24 +77,36 @@ struct Manoeuvre {
     climb_rad: Option<f64>,
 }
 
-/// The library, made once.
+/// The library. Each start speed's part is made when it is first asked for, so that a successor of a planner in flight
+/// makes one of four before it plans, or ahead of that by [`Library::prepare`].
 #[derive(Clone, Debug)]
 pub(crate) struct Library {
-    sets: Vec<Vec<Manoeuvre>>,
+    config: Config,
+    cruise_mps: f64,
+    sets: [OnceLock<Vec<Manoeuvre>>; SPEEDS.len()],
     aimed_shares: Vec<f64>,
 }
 
 impl Library {
     /// For a cruise speed; flown at another it is less well dispersed.
     pub(crate) fn new(config: &Config, cruise_mps: f64) -> Self {
-        let sets = SPEEDS.map(|share| choose(config, cruise_mps, share * cruise_mps));
         let aimed_shares = AIMED_SHARES.into_iter().filter(|&share| share >= config.library.slowest_share);
-        Self { sets: sets.to_vec(), aimed_shares: aimed_shares.collect() }
+        Self { config: config.clone(), cruise_mps, sets: Default::default(), aimed_shares: aimed_shares.collect() }
+    }
+
+    /// Makes one part that has not been asked for yet, the fastest first; whether there was one.
+    pub(crate) fn prepare(&self) -> bool {
+        let missing = (0..SPEEDS.len()).rev().find(|&set| self.sets[set].get().is_none());
+        missing.map(|set| self.set(set)).is_some()
+    }
+
+    fn set(&self, set: usize) -> &[Manoeuvre] {
+        self.sets[set].get_or_init(|| choose(&self.config, self.cruise_mps, SPEEDS[set] * self.cruise_mps))
     }
 
     /// Number of candidates.
     pub(crate) fn size(&self) -> usize {
-        AIMS * self.aimed_shares.len() + self.sets[0].len()
+        AIMS * self.aimed_shares.len() + self.config.library.size as usize
     }
 
     /// A candidate.
@@ -103,7 +116,7 @@ impl Library {
             let share = aim.from.velocity.norm() / aim.speed_mps;
             let gap = |set: &usize| (SPEEDS[*set] - share).abs();
             let set = (0..SPEEDS.len()).min_by(|a, b| gap(a).total_cmp(&gap(b))).unwrap_or(0);
-            return self.sets[set][manoeuvre].target(aim);
+            return self.set(set)[manoeuvre].target(aim);
         }
         let speed = aim.speed_mps * self.aimed_shares[index / AIMS];
         match index % AIMS {

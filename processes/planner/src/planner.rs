@@ -104,6 +104,12 @@ impl Planner {
         }
     }
 
+    /// Makes a part of what is made once and has not been asked for yet, so that no plan has to wait for it; whether there was
+    /// one.
+    pub fn prepare(&self) -> bool {
+        self.deliberation.prepare()
+    }
+
     /// Candidates of the library.
     pub(crate) fn library_size(&self) -> usize {
         self.deliberation.library_size()

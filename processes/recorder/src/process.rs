@@ -1,22 +1,20 @@
-//! The recorder process: every topic in, one MCAP file out.
+//! The recorder process: every topic in, MCAP files out.
 
-use crate::encode;
-use crate::log::{LogError, LogWriter};
+use crate::RecorderConfig;
+use crate::file::{LogError, Times};
+use crate::files::{Files, Pause};
+use encoding::Viewer;
+use ipc_types::rig::CameraMount;
 use ipc_types::topics::{self, Topic};
 use ipc_types::wire::Header;
-use ipc_types::{FlightTime, HostTime, ProcessId, StereoRig, for_each_topic};
-use runtime::{Connect, Message, Ports, Process, Report, host_now};
+use ipc_types::{FlightTime, ProcessId, StereoRig, for_each_topic};
+use runtime::{Connect, Message, Ports, Process, Report};
 use std::collections::{BTreeMap, HashMap};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::Duration;
 
 /// Flight time between drains.
 const INTERVAL: Duration = Duration::from_millis(50);
-/// Host time between flushes.
-const FLUSH_INTERVAL: Duration = Duration::from_millis(500);
-
-/// Between two attempts at a new file after one could not be written.
-const AGAIN: Duration = Duration::from_secs(1);
 
 /// What was written and not flushed when a file failed, of whatever topic.
 const UNFLUSHED: &str = "unflushed";
@@ -24,91 +22,103 @@ const UNFLUSHED: &str = "unflushed";
 /// Records a run. A file that cannot be written, for the disk is full, say, is left as it is; once it can be, a new one begins.
 #[derive(Debug)]
 pub struct RecorderProcess {
-    /// Absent while nothing can be written.
-    log: Option<Log>,
-    path: PathBuf,
-    attachments: Vec<(String, String)>,
-    /// Files begun.
-    files: u32,
-    /// Messages written since the last flush.
-    unflushed: u64,
-    tried: HostTime,
+    files: Files,
+    viewer: Viewer,
     /// Last sequence per topic, producer and incarnation.
     sequences: HashMap<(&'static str, u32, u32), u64>,
     lost: BTreeMap<String, u64>,
     images: bool,
-    width: usize,
     next: FlightTime,
-    flushed: HostTime,
+    /// Files that the viewer has been told of.
+    files_shown: u32,
     report: Report,
 }
 
+/// What a recording is of.
+#[derive(Clone, Copy, Debug)]
+pub struct Recording<'a> {
+    /// Texts to attach: name, content.
+    pub attachments: &'a [(&'a str, &'a str)],
+    /// Whether pixels are recorded.
+    pub images: bool,
+    /// The camera ...
+    pub rig: StereoRig,
+    /// ... and its place.
+    pub mount: CameraMount,
+    /// Limits.
+    pub config: RecorderConfig,
+}
+
 impl RecorderProcess {
-    /// Records to a new file, with texts attached (name, content). `images` asks for pixels too.
+    /// Records to a new file.
     ///
     /// # Errors
     /// The file cannot be created.
-    pub fn create(path: &Path, attachments: &[(&str, &str)], images: bool, rig: &StereoRig) -> Result<Self, LogError> {
-        let mut recorder = Self::without_log(path, attachments, images, rig);
-        recorder.log = Some(Log::create(path, &recorder.attachments, images)?);
+    pub fn create(path: &Path, recording: &Recording<'_>) -> Result<Self, LogError> {
+        let mut recorder = Self::without_file(path, recording);
+        recorder.files.begin()?;
         Ok(recorder)
     }
 
     /// As a successor: where the file cannot be created, for what its predecessor died of, a new one begins once it can be.
-    pub fn resume(path: &Path, attachments: &[(&str, &str)], images: bool, rig: &StereoRig) -> Self {
-        let mut recorder = Self::without_log(path, attachments, images, rig);
-        recorder.log = Log::create(path, &recorder.attachments, images).ok();
-        recorder
+    pub fn resume(path: &Path, recording: &Recording<'_>) -> Self {
+        Self::create(path, recording).unwrap_or_else(|_| Self::without_file(path, recording))
     }
 
-    fn without_log(path: &Path, attachments: &[(&str, &str)], images: bool, rig: &StereoRig) -> Self {
-        let attachments = attachments.iter().map(|(name, text)| ((*name).to_owned(), (*text).to_owned())).collect();
+    fn without_file(path: &Path, recording: &Recording<'_>) -> Self {
         Self {
-            log: None,
-            path: path.to_owned(),
-            attachments,
-            files: 1,
-            unflushed: 0,
-            tried: host_now(),
+            files: Files::new(path, recording.attachments, recording.images, recording.config),
+            viewer: Viewer::new(recording.rig, recording.mount),
             sequences: HashMap::new(),
             lost: BTreeMap::new(),
-            images,
-            width: rig.width_px as usize,
+            images: recording.images,
             next: FlightTime::ZERO,
-            flushed: host_now(),
+            files_shown: 0,
             report: Report::waiting("starting"),
         }
     }
 
     fn drain<T: Topic>(&mut self, ports: &mut impl Ports) -> Result<(), LogError> {
+        let mut bytes = Vec::new();
         while let Some(message) = ports.receive::<T>() {
-            let stamp = *message.header().stamp();
+            let (header, elements) = (message.header(), message.elements());
+            let stamp = *header.stamp();
             let key = (T::INFO.name, stamp.producer, stamp.incarnation);
-            let expected = self.sequences.insert(key, stamp.sequence).map_or(stamp.sequence, |last| last + 1);
-            if stamp.sequence > expected {
-                *self.lost.entry(T::INFO.name.to_owned()).or_default() += stamp.sequence - expected;
+            let last = self.sequences.entry(key).or_insert(stamp.sequence);
+            let missing = stamp.sequence.saturating_sub(*last + 1);
+            *last = stamp.sequence.max(*last);
+            if missing > 0 {
+                *self.lost.entry(T::INFO.name.to_owned()).or_default() += missing;
             }
-            let Some(log) = &mut self.log else {
+            let Ok(file) = self.files.current() else {
                 *self.lost.entry(T::INFO.name.to_owned()).or_default() += 1;
                 self.report.dropped += 1;
                 continue;
             };
-            let Some(&channel) = log.channels.get(T::INFO.name) else { continue };
-            let json = if T::INFO.is_image {
-                encode::image::<T>(message.header(), message.elements(), self.width)
-            } else {
-                encode::message::<T>(message.header(), message.elements())
-            };
-            self.unflushed += 1;
-            log.writer.write(channel, stamp.sequence, stamp.valid_ns, stamp.published_ns, &json)?;
+            bytes.clear();
+            let (header_bytes, element_bytes) = (bytemuck::bytes_of(header), bytemuck::cast_slice(elements));
+            encoding::encode(T::INFO.header, header_bytes, T::INFO.element, element_bytes, &mut bytes);
+            let times = Times { valid_ns: stamp.valid_ns, published_ns: stamp.published_ns };
+            file.write(T::INFO.name, stamp.sequence, times, &bytes)?;
+            let mut shown = Ok(());
+            self.viewer.views::<T>(header, elements, self.images, |view, message| {
+                if shown.is_ok() {
+                    shown = file.show(view, stamp.sequence, times, &message);
+                }
+            });
+            shown?;
         }
         Ok(())
     }
 
     fn drain_all(&mut self, ports: &mut impl Ports) -> Result<(), LogError> {
+        if self.files_shown != self.files.count() {
+            self.files_shown = self.files.count();
+            self.viewer.begin();
+        }
         macro_rules! drain {
             ($($topic:ident),*) => {$(
-                if !topics::$topic::INFO.is_image || self.images {
+                if is_read::<topics::$topic>(self.images) {
                     self.drain::<topics::$topic>(ports)?;
                 }
             )*};
@@ -117,76 +127,24 @@ impl RecorderProcess {
         Ok(())
     }
 
-    /// Writes the index and ends the file.
-    fn end_log(&mut self) {
-        let lost = self.lost.iter().map(|(topic, count)| (format!("lost {topic}"), count.to_string()));
-        // The log is readable without its end; there is nobody left to tell.
-        let _ = self.log.as_mut().map(|log| log.writer.finish(lost.collect()));
-    }
-
     /// The file cannot be written: it ends here.
     fn fail(&mut self) -> Report {
         // What was not on disk yet may be lost, too.
-        let lost = std::mem::take(&mut self.unflushed);
+        let lost = self.files.fail();
         *self.lost.entry(UNFLUSHED.to_owned()).or_default() += lost;
         self.report.dropped += lost;
-        self.log = None;
-        self.tried = host_now();
         self.report.refuse("cannot write the log")
     }
-
-    /// Begins a new file, `log.part2.mcap` and so on, if the last attempt is long enough ago.
-    fn begin_again(&mut self) {
-        if host_now().saturating_since(self.tried) < AGAIN {
-            return;
-        }
-        self.tried = host_now();
-        let path = self.path.with_extension(format!("part{}.mcap", self.files + 1));
-        match Log::create(&path, &self.attachments, self.images) {
-            Ok(log) => (self.log, self.files) = (Some(log), self.files + 1),
-            Err(_) => {
-                self.report.refuse("cannot write the log");
-            }
-        }
-    }
 }
 
-/// A file being written.
-#[derive(Debug)]
-struct Log {
-    writer: LogWriter,
-    channels: HashMap<&'static str, u16>,
-}
-
-impl Log {
-    fn create(path: &Path, attachments: &[(String, String)], images: bool) -> Result<Self, LogError> {
-        let mut writer = LogWriter::create(path)?;
-        for (name, text) in attachments {
-            writer.attach(name, text)?;
-        }
-        let mut channels = HashMap::new();
-        macro_rules! add {
-            ($($topic:ident),*) => {$(
-                let info = topics::$topic::INFO;
-                if !info.is_image {
-                    let schema = encode::schema::<topics::$topic>();
-                    channels.insert(info.name, writer.add_channel(info.name, info.header_type, &schema)?);
-                } else if images {
-                    let schema = encode::IMAGE_SCHEMA;
-                    channels.insert(info.name, writer.add_channel(info.name, "foxglove.RawImage", schema)?);
-                }
-            )*};
-        }
-        for_each_topic!(add);
-        // Not only in the buffer: a disk that is still full is to show here.
-        writer.flush()?;
-        Ok(Self { writer, channels })
-    }
+/// Of the images one is always read, for its points.
+fn is_read<T: Topic>(images: bool) -> bool {
+    images || !T::INFO.is_image || T::INFO.name == topics::Disparity::INFO.name
 }
 
 impl Drop for RecorderProcess {
     fn drop(&mut self) {
-        self.end_log();
+        self.files.end(&self.lost);
     }
 }
 
@@ -196,7 +154,7 @@ impl Process for RecorderProcess {
     fn connect(&self, connect: &mut impl Connect) {
         macro_rules! read {
             ($($topic:ident),*) => {$(
-                if !topics::$topic::INFO.is_image || self.images {
+                if is_read::<topics::$topic>(self.images) {
                     connect.reads::<topics::$topic>();
                 }
             )*};
@@ -209,11 +167,12 @@ impl Process for RecorderProcess {
             return self.report.idle();
         }
         self.next = ports.now() + INTERVAL;
-        match self.drain_all(ports) {
-            Ok(()) if self.log.is_none() => self.report.degraded("without a log: what is published is not recorded"),
-            Ok(()) => self.report.worked(),
+        match (self.drain_all(ports), self.files.pause()) {
+            (Ok(()), None) => self.report.worked(),
+            (Ok(()), Some(Pause::Failed)) => self.report.degraded("without a log: what is published is not recorded"),
+            (Ok(()), Some(Pause::NearlyFull)) => self.report.degraded("the disk is nearly full: not recording"),
             // Full disk, or a file that went away: the flight goes on without its log, and says so.
-            Err(_) => self.fail(),
+            (Err(_), _) => self.fail(),
         }
     }
 
@@ -229,15 +188,8 @@ impl Process for RecorderProcess {
     }
 
     fn housekeep(&mut self) {
-        if host_now().saturating_since(self.flushed) >= FLUSH_INTERVAL {
-            self.flushed = host_now();
-            match self.log.as_mut().map(|log| log.writer.flush()) {
-                Some(Ok(())) => self.unflushed = 0,
-                Some(Err(_)) => {
-                    self.fail();
-                }
-                None => self.begin_again(),
-            }
+        if self.files.housekeep(&self.lost).is_err() {
+            self.fail();
         }
     }
 }

@@ -12,7 +12,9 @@
 mod child;
 mod ladder;
 mod mission;
+mod mission_config;
 mod observation;
+mod orders;
 mod policy;
 mod rule;
 mod summary;
@@ -20,7 +22,9 @@ mod supervision;
 
 pub use child::Usage;
 pub use ladder::{Ladder, LadderConfig, Observed, Step};
-pub use mission::{ATTENTION, AtGoal, HomeConfig, Mission, MissionConfig, Outcome};
+pub use mission::{ATTENTION, Mission, Outcome, Progress};
+pub use mission_config::{AtGoal, HomeConfig, MissionConfig};
+pub use orders::{Directive, LinkConfig, LinkLoss, Orders, Verdict};
 pub use policy::{Action, Event, Phase, Policy};
 pub use rule::{Criticality, Rule, Strategy};
 pub use summary::{DeathSummary, FaultSummary, LatencySummary, Losses, ProcessSummary, RungSummary, Summary};

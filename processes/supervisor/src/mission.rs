@@ -1,146 +1,21 @@
 //! The mission: publishes the goal, watches how the flight goes.
 
 use crate::ladder::{Ladder, LadderConfig, Step};
+use crate::mission_config::{AtGoal, MissionConfig};
 use crate::observation::Observation;
+use crate::orders::{Directive, LinkConfig, MOST_PLACES, Orders};
 use crate::summary::{Recorder, Summary};
 use crate::supervision::ChildStatus;
-use ipc_types::bounds::Bounds;
-use ipc_types::limits::Fence;
-use ipc_types::messages::{Health, PlanMode, Rung, Task, Trajectory, VehicleState, WorldTruth};
+use ipc_types::messages::{Command, Health, Order, PlanMode, Rung, Task, Trajectory, VehicleState, WorldTruth};
 use ipc_types::topics::{
-    DepthFrames, Disparity, Expanded, Goals, HealthReports, Keyframes, Plan, Rungs, Setpoints, State, StereoFrames,
-    Truth,
+    Answers, Commands, DepthFrames, Disparity, Expanded, Goals, HealthReports, Keyframes, MissionStates, Plan, Rungs,
+    Setpoints, State, StereoFrames, Truth,
 };
 use ipc_types::wire::{Header, Stamp, Text};
 use ipc_types::{FlightTime, Point, ProcessId, Vector, World};
 use runtime::{Connect, Message, Ports, Process, Report};
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
-
-/// A cylinder around the take-off place, declared free: no image sees what is beside a vehicle on the ground.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct HomeConfig {
-    /// Its radius, m. Take-off may drift so far.
-    pub radius_m: f64,
-    /// Its height above the take-off place, m.
-    pub height_m: f64,
-}
-
-/// What ends a mission.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum AtGoal {
-    /// Hovering.
-    Hover,
-    /// Landing: whoever asks for it declares the column below the goal free.
-    Land,
-}
-
-/// Where to fly.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct MissionConfig {
-    /// Take-off place (x, y), m.
-    pub start_m: [f64; 2],
-    /// Heading at take-off, degrees from east.
-    pub start_heading_deg: f64,
-    /// Places to pass on the way, within 2.5 m (x, y, z), m.
-    pub waypoints_m: Vec<[f64; 3]>,
-    /// Where to hover at last (x, y, z), m.
-    pub goal_m: [f64; 3],
-    /// Whether to hover or to land there.
-    pub at_goal: AtGoal,
-    /// Highest speed on the way, m/s.
-    pub cruise_speed_mps: f64,
-    /// Height to fly at above the take-off place, m.
-    pub cruise_height_m: f64,
-    /// The cylinder around the take-off place that the operator declares free.
-    pub home: HomeConfig,
-    /// Geofence and altitude limits.
-    pub fence: Fence,
-    /// The flight has failed when it takes longer, s.
-    pub time_limit_s: f64,
-}
-
-impl MissionConfig {
-    /// Reports values out of range.
-    pub fn check(&self, bounds: &mut Bounds) {
-        self.start_m.iter().for_each(|&value| bounds.range("start_m", value, -1e5..=1e5));
-        self.waypoints_m.iter().flatten().for_each(|&value| bounds.range("waypoints_m", value, -1e5..=1e5));
-        self.goal_m.iter().for_each(|&value| bounds.range("goal_m", value, -1e5..=1e5));
-        bounds.range("start_heading_deg", self.start_heading_deg, -360.0..=360.0);
-        bounds.range("cruise_speed_mps", self.cruise_speed_mps, 0.2..=20.0);
-        bounds.range("cruise_height_m", self.cruise_height_m, 0.5..=100.0);
-        bounds.section("home", |bounds| {
-            bounds.range("radius_m", self.home.radius_m, 0.3..=20.0);
-            bounds.range("height_m", self.home.height_m, 0.0..=100.0);
-            bounds.require(
-                self.home.height_m >= self.cruise_height_m,
-                "height_m",
-                format_args!(
-                    "is {}, must be at least cruise_height_m = {}: take-off climbs there",
-                    self.home.height_m, self.cruise_height_m
-                ),
-            );
-        });
-        let heights = self.fence.least_m[2]..self.fence.most_m[2];
-        bounds.require(
-            heights.contains(&self.cruise_height_m),
-            "cruise_height_m",
-            format_args!("is {}, must be within the fence's heights, {heights:?} m", self.cruise_height_m),
-        );
-        bounds.range("time_limit_s", self.time_limit_s, 1.0..=36_000.0);
-        bounds.section("fence", |bounds| self.fence.check(bounds));
-        let places = self.waypoints_m.iter().map(|place| ("waypoints_m", place)).chain([("goal_m", &self.goal_m)]);
-        for (name, place) in places {
-            bounds.require(
-                self.fence.contains(Point::from_array(*place)),
-                name,
-                format_args!("is {place:?}, must lie inside the fence {:?}", self.fence),
-            );
-        }
-    }
-
-    /// Take-off place, at ground level zero.
-    pub fn start(&self) -> Point<World> {
-        Point::new(self.start_m[0], self.start_m[1], 0.0)
-    }
-
-    /// Places that the way leads to, in order: the waypoints, then the goal.
-    pub fn places(&self) -> impl Iterator<Item = Point<World>> {
-        self.waypoints_m.iter().chain([&self.goal_m]).map(|&place| Point::from_array(place))
-    }
-
-    /// Distance of a place from the straight line that leads by the waypoints to the goal, seen from above, m.
-    fn deviation_m(&self, place: Point<World>) -> f64 {
-        let (mut from, mut nearest_m) = (self.start(), f64::INFINITY);
-        for to in self.places() {
-            let (way, off) = (to - from, place - from);
-            let share = (off.x * way.x + off.y * way.y) / way.horizontal_norm().powi(2).max(1e-12);
-            nearest_m = nearest_m.min((off - way * share.clamp(0.0, 1.0)).horizontal_norm());
-            from = to;
-        }
-        nearest_m
-    }
-
-    /// Length of that line, m.
-    pub(crate) fn straight_line_m(&self) -> f64 {
-        let mut from = self.start();
-        self.places().map(|to| std::mem::replace(&mut from, to).distance(to)).sum()
-    }
-
-    /// Distance of a place from the goal, m; from the column below it, where that is to be landed on.
-    pub(crate) fn to_goal_m(&self, place: Point<World>) -> f64 {
-        let off = self.goal() - place;
-        if self.at_goal == AtGoal::Land { off.horizontal_norm() } else { off.norm() }
-    }
-
-    /// The goal.
-    pub fn goal(&self) -> Point<World> {
-        Point::from_array(self.goal_m)
-    }
-}
 
 /// How a flight ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -172,15 +47,53 @@ const HOVERING_FOR: Duration = Duration::from_secs(1);
 pub const ATTENTION: Duration = Duration::from_millis(10);
 /// A waypoint is passed this close, m: near enough to go on to the next one without slowing down for it.
 const PASSED_M: f64 = 2.5;
+/// Commands judged in one step: what comes in does not keep it from the rest.
+const MOST_COMMANDS: usize = 16;
 /// Heartbeats and outputs that nobody has taken yet.
 const MOST_UNREAD: usize = 4096;
 /// Between goal messages.
 const GOAL_INTERVAL: Duration = Duration::from_millis(500);
 
+/// How far a mission is: what a successor goes on from.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Progress {
+    orders: Orders,
+    /// As it is flown, where an operator asked for something else than was configured.
+    flown: Option<MissionConfig>,
+    hovers: bool,
+    passed: usize,
+    until_s: Option<f64>,
+}
+
+/// What was asked for, in a line.
+fn note(command: &Command, refused: Option<&String>) -> Text {
+    let order = Order::from_wire(command.order).map_or("an unknown order", Order::name);
+    let operator = command.operator.to_string_lossy();
+    Text::from(
+        match refused {
+            Some(reason) => format!("{operator}: {order}: refused: {reason}"),
+            None => format!("{operator}: {order}"),
+        }
+        .as_str(),
+    )
+}
+
 /// Watches a flight as one more process of the graph.
 #[derive(Debug)]
 pub struct Mission {
+    /// As it is flown: as configured, until an operator asks for something else.
     config: MissionConfig,
+    /// Within what operators may ask.
+    configured: MissionConfig,
+    link: LinkConfig,
+    orders: Orders,
+    /// Told to hover.
+    hovers: bool,
+    /// The flight may take until then, s.
+    until_s: f64,
+    has_news: bool,
+    /// What was last asked for.
+    note: Text,
     next_goal: FlightTime,
     /// Waypoints passed.
     passed: usize,
@@ -197,14 +110,23 @@ pub struct Mission {
     ladder: Ladder,
     observation: Observation,
     next_rung: FlightTime,
+    next_mission: FlightTime,
     recorder: Recorder,
     report: Report,
 }
 
 impl Mission {
     /// A mission that has not begun.
-    pub fn new(config: MissionConfig, ladder: LadderConfig) -> Self {
+    pub fn new(config: MissionConfig, ladder: LadderConfig, link: LinkConfig) -> Self {
         Self {
+            configured: config.clone(),
+            link,
+            orders: Orders::default(),
+            hovers: false,
+            until_s: config.time_limit_s,
+            has_news: false,
+            note: Text::from(""),
+            next_mission: FlightTime::ZERO,
             outputs: Vec::new(),
             ladder: Ladder::new(ladder),
             observation: Observation::default(),
@@ -276,17 +198,25 @@ impl Mission {
         self.ladder.present()
     }
 
-    /// Waypoints passed.
-    pub fn passed(&self) -> usize {
-        self.passed
-    }
-
-    /// Goes on with a flight that was taken over: after so many waypoints, on that rung. Nothing is said before the flight's
-    /// time is known.
-    pub fn resume(&mut self, passed: usize, step: Step) {
+    /// Goes on with a flight that was taken over: with what was asked for, after so many waypoints, on that rung. Nothing is
+    /// said before the flight's time is known.
+    pub fn resume(&mut self, progress: Progress, step: Step) {
+        let Progress { orders, flown, hovers, passed, until_s } = progress;
+        self.until_s = until_s.unwrap_or(self.until_s);
+        if let Some(flown) = flown {
+            self.config = flown;
+        }
+        (self.orders, self.hovers) = (orders, hovers);
         self.passed = passed.min(self.config.waypoints_m.len());
         self.ladder.resume(step);
         self.is_taken_over = true;
+    }
+
+    /// How far it is, for a successor.
+    pub fn progress(&self) -> Progress {
+        let flown = (self.config != self.configured).then(|| self.config.clone());
+        let (orders, until_s) = (self.orders.clone(), Some(self.until_s));
+        Progress { orders, flown, hovers: self.hovers, passed: self.passed, until_s }
     }
 
     /// The account so far.
@@ -317,12 +247,15 @@ impl Mission {
             AtGoal::Land => mode == PlanMode::Landed && truth.airborne == 0,
         } && self.config.to_goal_m(position) < ARRIVED_M;
         let arrived = lasting(&mut self.hovering_since, ends && has_arrived);
-        let gave_up = lasting(&mut self.given_up_since, mode == PlanMode::GivenUp && speed < HOVERING_MPS);
+        // Whoever commands decides what then.
+        let is_alone = self.orders.commander().is_none() || self.orders.is_link_lost();
+        let gives_up = is_alone && mode == PlanMode::GivenUp && speed < HOVERING_MPS;
+        let gave_up = lasting(&mut self.given_up_since, gives_up);
         let ended = [
             (truth.collided != 0, Outcome::Collided),
             (arrived, Outcome::Arrived),
             (gave_up, Outcome::GaveUp),
-            (now.as_secs_f64() > self.config.time_limit_s, Outcome::TimedOut),
+            (now.as_secs_f64() > self.until_s, Outcome::TimedOut),
         ];
         if let Some((_, outcome)) = ended.into_iter().find(|(holds, _)| *holds) {
             self.end(outcome);
@@ -346,7 +279,7 @@ impl Mission {
         let (waypoint, config) = (waypoints.get(self.passed), &self.config);
         let step = self.ladder.present();
         let task = match config.at_goal {
-            _ if step.rung >= Rung::Hover => Task::Stay,
+            _ if step.rung >= Rung::Hover || self.hovers => Task::Stay,
             AtGoal::Land if waypoint.is_none() => Task::Land,
             _ => Task::Hover,
         };
@@ -380,6 +313,82 @@ impl Mission {
         if step.rung == Rung::HandBack {
             self.end(Outcome::HandedBack);
         }
+    }
+
+    /// Hears what operators ask for, and answers.
+    fn obey(&mut self, ports: &mut impl Ports) {
+        for _ in 0..MOST_COMMANDS {
+            let Some(message) = ports.receive::<Commands>() else { break };
+            let (command, places) = (*message.header(), message.elements().to_vec());
+            let (orders, state) = (&mut self.orders, self.state.as_ref());
+            let verdict = orders.judge(self.now, &command, &places, state, &self.configured, &self.link);
+            if command.order == Order::Present as u32 && verdict.directive.is_ok() {
+                continue;
+            }
+            let reason = verdict.directive.as_ref().err().map_or("", String::as_str);
+            ports.publish::<Answers>(self.now, 0, |answer, _| {
+                (answer.number, answer.order, answer.operator) = (command.number, command.order, command.operator);
+                answer.accepted = u32::from(verdict.directive.is_ok());
+                answer.reason = Text::from(reason);
+            });
+            if !verdict.is_repeated {
+                self.note = note(&command, verdict.directive.as_ref().err());
+                verdict.directive.into_iter().for_each(|directive| self.follow(directive));
+            }
+        }
+        let leads_to_landing = self.config.at_goal == AtGoal::Land;
+        let lost = self.orders.look(self.now, &self.link, &self.configured);
+        if let Some(directive) = lost.filter(|_| !leads_to_landing) {
+            self.note = Text::from("the operator is not heard any more");
+            self.follow(directive);
+        }
+    }
+
+    fn follow(&mut self, directive: Directive) {
+        match directive {
+            Directive::Nothing => {}
+            Directive::Hover => self.hovers = true,
+            Directive::Resume => self.hovers = false,
+            Directive::Speed(speed_mps) => self.config.cruise_speed_mps = speed_mps,
+            Directive::Route(places, speed_mps) => {
+                self.lead(places, AtGoal::Hover);
+                self.config.cruise_speed_mps = speed_mps.unwrap_or(self.config.cruise_speed_mps);
+            }
+            Directive::Land(place) => self.lead(vec![place], AtGoal::Land),
+        }
+        (self.next_goal, self.next_mission) = (self.now, self.now);
+        self.has_news = true;
+    }
+
+    /// Whether an order was followed since the last call: what a successor must know.
+    pub fn take_news(&mut self) -> bool {
+        std::mem::take(&mut self.has_news)
+    }
+
+    /// Another way than before.
+    fn lead(&mut self, mut places: Vec<[f64; 3]>, at_goal: AtGoal) {
+        if let Some(goal) = places.pop() {
+            (self.config.goal_m, self.config.waypoints_m, self.config.at_goal) = (goal, places, at_goal);
+            (self.passed, self.hovers, self.hovering_since, self.given_up_since) = (0, false, None, None);
+            self.until_s = self.now.as_secs_f64() + self.configured.time_limit_s;
+        }
+    }
+
+    /// Tells how far it is.
+    fn say_how_it_stands(&mut self, ports: &mut impl Ports) {
+        if self.now < self.next_mission {
+            return;
+        }
+        self.next_mission = self.now + GOAL_INTERVAL;
+        let config = &self.config;
+        let places: Vec<_> = config.waypoints_m.iter().chain([&config.goal_m]).copied().take(MOST_PLACES).collect();
+        let (passed, hovers, note) = (self.passed as u32, u32::from(self.hovers), self.note);
+        let commander = Text::from(self.orders.commander().unwrap_or(""));
+        ports.publish::<MissionStates>(self.now, places.len(), |mission, elements| {
+            (mission.speed_mps, mission.passed, mission.hovers) = (config.cruise_speed_mps, passed, hovers);
+            (mission.commander, mission.note) = (commander, note);
+            elements.iter_mut().zip(&places).for_each(|(element, place)| element.position_m = *place);
+        });
     }
 
     fn published(&mut self, stage: &'static str, stamp: &Stamp) {
@@ -423,6 +432,9 @@ impl Process for Mission {
     fn connect(&self, connect: &mut impl Connect) {
         connect.writes::<Goals>();
         connect.writes::<Rungs>();
+        connect.writes::<Answers>();
+        connect.writes::<MissionStates>();
+        connect.reads::<Commands>();
         connect.reads::<Truth>();
         connect.reads::<State>();
         connect.reads::<StereoFrames>();
@@ -439,8 +451,10 @@ impl Process for Mission {
         self.now = ports.now();
         self.time_stages(ports);
         if !self.is_taken_over || self.now > FlightTime::ZERO {
+            self.obey(ports);
             self.say_how_far(ports);
             self.say_where_to(ports);
+            self.say_how_it_stands(ports);
         }
         while let Some(plan) = ports.receive::<Plan>() {
             self.recorder.plan(plan.header());
@@ -453,6 +467,9 @@ impl Process for Mission {
         }
         while let Some(state) = ports.receive::<State>() {
             self.state = Some(*state.header());
+            if state.header().landed == 0 {
+                self.orders.note_place(state.header().position());
+            }
         }
         while let Some(health) = ports.receive::<HealthReports>() {
             self.recorder.health(health.header());

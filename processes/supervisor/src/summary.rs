@@ -1,7 +1,8 @@
 //! The account of a flight: what the report prints and the JSON summary carries.
 
 use crate::ladder::Step;
-use crate::mission::{MissionConfig, Outcome};
+use crate::mission::Outcome;
+use crate::mission_config::MissionConfig;
 use crate::policy::Phase;
 use crate::supervision::ChildStatus;
 use hdrhistogram::Histogram;

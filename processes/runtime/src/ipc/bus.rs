@@ -19,13 +19,13 @@ pub(super) struct Carrier<T: Wire>(pub(super) T);
 // the wrapper is transparent. Its versioned name and the schema hash on every service guard the layout.
 unsafe impl<T: Wire> ZeroCopySend for Carrier<T> {
     unsafe fn type_name() -> &'static str {
-        T::TYPE_NAME
+        T::KIND.name()
     }
 }
 
 impl<T: Wire> std::fmt::Debug for Carrier<T> {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(T::TYPE_NAME)
+        f.write_str(T::KIND.name())
     }
 }
 
@@ -76,7 +76,7 @@ pub(super) fn bell_name(process: ProcessId) -> Result<ServiceName, IpcError> {
 /// The attribute that refuses processes built with other messages.
 pub(super) fn schema<T: Topic>(salt: u64) -> Result<(AttributeKey, AttributeValue), IpcError> {
     let key = AttributeKey::try_from("schema").doing("name the schema attribute")?;
-    let value = AttributeValue::try_from(format!("{:016x}", T::schema_hash() ^ salt).as_str())
+    let value = AttributeValue::try_from(format!("{:016x}", (T::INFO.schema_hash)() ^ salt).as_str())
         .doing("write the schema hash")?;
     Ok((key, value))
 }
@@ -85,6 +85,7 @@ pub(super) fn schema<T: Topic>(salt: u64) -> Result<(AttributeKey, AttributeValu
 pub(super) fn opening(topic: &TopicInfo) -> String {
     format!(
         "open topic {} ({}); was this process built from the same source as the supervisor?",
-        topic.name, topic.header_type
+        topic.name,
+        topic.header.name()
     )
 }

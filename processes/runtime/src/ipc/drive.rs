@@ -103,8 +103,8 @@ pub fn drive<P: Process>(mut process: P, run: &RunDir, rig: &StereoRig, options:
             false => heart.last_report,
         };
         if heart.stepped(ports.now(), &report, started) {
-            process.housekeep();
             beat(&mut ports, &heart, &report);
+            process.housekeep();
         }
     }
     process.finish(&mut ports);

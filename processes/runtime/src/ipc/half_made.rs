@@ -5,10 +5,13 @@
 //! no deadline). That stops whoever connects, and it stops the cleaner as well, who is the supervisor. So the cleaner
 //! removes such segments first; an opener that waits goes on then, since it asks for the name again every time.
 //!
-//! A segment whose creator lives is left: between both steps he holds it open, and the kernel says who does.
+//! A segment whose creator lives is left: between both steps he holds it open, and the kernel says who does. Asked are only
+//! the processes of the run, who have said their numbers before they create anything.
 
 use crate::run_dir::RunDir;
-use std::fs::{self, Metadata};
+use ipc_types::ProcessId;
+use std::fs;
+use std::io::ErrorKind;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -18,38 +21,43 @@ const LOOKS: usize = 20;
 const BETWEEN_LOOKS: Duration = Duration::from_millis(1);
 
 /// Removes segments of the run that were left without a size; whether none is left. It takes as long as listing a
-/// folder where there is none, and at most some 20 ms per segment that somebody holds.
+/// folder where there is none, and some 20 ms per segment that somebody holds.
 pub(super) fn remove(run: &RunDir) -> bool {
-    let stays = |segment: &PathBuf| is_empty(segment) && !removed(segment);
+    let stays = |segment: &PathBuf| inode_of_empty(segment).is_some() && !removed(run, segment);
     run.segments().filter(stays).count() == 0
 }
 
-fn is_empty(segment: &Path) -> bool {
-    fs::symlink_metadata(segment).is_ok_and(|metadata| metadata.is_file() && metadata.size() == 0)
+/// Which file lies there, if it has no size.
+fn inode_of_empty(segment: &Path) -> Option<u64> {
+    let metadata = fs::symlink_metadata(segment).ok()?;
+    (metadata.is_file() && metadata.size() == 0).then(|| metadata.ino())
 }
 
 /// Removes a segment that nobody will finish; whether none without a size is left there.
-fn removed(segment: &Path) -> bool {
+fn removed(run: &RunDir, segment: &Path) -> bool {
     for look in 0..LOOKS {
         if look > 0 {
             std::thread::sleep(BETWEEN_LOOKS);
         }
         // In this order: a creator that had closed it before he was looked for had given it a size before.
-        match fs::symlink_metadata(segment) {
-            Ok(metadata) if is_held(&metadata) => {}
-            Ok(_) if is_empty(segment) => return fs::remove_file(segment).is_ok(),
-            Ok(_) | Err(_) => return true, // Made, or gone, meanwhile.
+        let Some(before) = inode_of_empty(segment) else { return true };
+        if !is_held(run, segment) && inode_of_empty(segment) == Some(before) {
+            return fs::remove_file(segment).is_ok();
         }
     }
-    !is_empty(segment)
+    inode_of_empty(segment).is_none()
 }
 
-/// Whether a process of this user has the file open.
-fn is_held(file: &Metadata) -> bool {
-    let processes = fs::read_dir("/proc").into_iter().flatten().flatten();
-    let descriptors = processes.filter_map(|process| fs::read_dir(process.path().join("fd")).ok());
-    let open = descriptors.flatten().flatten().filter_map(|descriptor| fs::metadata(descriptor.path()).ok());
-    open.into_iter().any(|other| (other.dev(), other.ino()) == (file.dev(), file.ino()))
+/// Whether a process of the run has the file open, or may have.
+fn is_held(run: &RunDir, segment: &Path) -> bool {
+    let children = ProcessId::ALL.into_iter().filter_map(|process| run.living(process)).map(|(number, _)| number);
+    children.chain([std::process::id()]).any(|number| match fs::read_dir(format!("/proc/{number}/fd")) {
+        Ok(descriptors) => {
+            descriptors.flatten().any(|open| fs::read_link(open.path()).is_ok_and(|path| path == segment))
+        }
+        // Dead meanwhile; of one that lives and does not show what it holds, nothing is known.
+        Err(error) => error.kind() != ErrorKind::NotFound,
+    })
 }
 
 #[cfg(test)]

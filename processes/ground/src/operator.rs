@@ -1,0 +1,161 @@
+//! Commands, and what becomes of them.
+
+use crate::Watch;
+use bridge::keys;
+use ipc_types::messages::{Command, Order, Waypoint};
+use ipc_types::wire::{Text, Wire};
+use std::sync::Mutex;
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use zenoh::Wait;
+use zenoh::qos::CongestionControl;
+
+/// Vehicles follow no command that is valid for longer, s, ...
+const LONGEST_S: f64 = 60.0;
+/// ... and no route of more places.
+const MOST_PLACES: usize = 64;
+/// A command that was not answered is sent again after so long.
+const AGAIN: Duration = Duration::from_millis(300);
+/// Between two looks for an answer.
+const LOOK: Duration = Duration::from_millis(20);
+
+/// What is asked of a vehicle.
+#[derive(Clone, Debug, PartialEq, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Asked {
+    /// The vehicle's name.
+    pub vehicle: String,
+    /// [`Order`], by name.
+    pub order: String,
+    /// Places, m.
+    #[serde(default)]
+    pub places_m: Vec<[f64; 3]>,
+    /// Highest speed, m/s; 0: as before.
+    #[serde(default)]
+    pub speed_mps: f64,
+    /// For so long it may be followed, s.
+    #[serde(default = "two_seconds")]
+    pub valid_s: f64,
+}
+
+impl Asked {
+    fn check(&self) -> Result<(), OperatorError> {
+        let Self { valid_s, places_m, .. } = self;
+        if !(0.1..=LONGEST_S).contains(valid_s) {
+            return Err(OperatorError::Rejected(format!("valid for {valid_s} s, allowed is 0.1 to {LONGEST_S}")));
+        }
+        if places_m.len() > MOST_PLACES {
+            return Err(OperatorError::Rejected(format!("{} places, allowed are {MOST_PLACES}", places_m.len())));
+        }
+        Ok(())
+    }
+}
+
+fn two_seconds() -> f64 {
+    2.0
+}
+
+/// Why a command was not followed, or may not have been.
+#[derive(Debug, thiserror::Error)]
+pub enum OperatorError {
+    /// There is no such order.
+    #[error("no order is called {0}")]
+    NoOrder(String),
+    /// Without its time a command cannot be dated.
+    #[error("{0} was not heard: without its flight time no command can be dated")]
+    NotHeard(String),
+    /// The network did not take it.
+    #[error("it was not sent: {0}")]
+    NotSent(String),
+    /// The vehicle does not want to.
+    #[error("rejected: {0}")]
+    Rejected(String),
+    /// It may have been followed, and the answer lost.
+    #[error("no answer while it was valid: it is not followed any more, and may have been")]
+    NoAnswer,
+}
+
+/// One who commands, by a name that nobody else has.
+#[derive(Debug)]
+pub struct Operator {
+    watch: Watch,
+    name: String,
+    number: Mutex<u64>,
+}
+
+impl Operator {
+    /// Numbers are times, so that those of one who begins anew, or of another program of the same operator, are larger than
+    /// those before.
+    pub fn new(watch: Watch, name: &str) -> Self {
+        Self { watch, name: name.to_owned(), number: Mutex::new(0) }
+    }
+
+    /// Sends a command and waits for what becomes of it.
+    ///
+    /// # Errors
+    /// It is rejected, or there is no answer while it is valid.
+    pub fn ask(&self, asked: &Asked) -> Result<(), OperatorError> {
+        let order = Order::from_name(&asked.order).ok_or_else(|| OperatorError::NoOrder(asked.order.clone()))?;
+        asked.check()?;
+        // From drawing a number to sending it, so that they are sent in their order.
+        let mut last = self.number.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+        *last = (*last + 1).max(since.as_millis() as u64);
+        let command = self.command(order, asked, *last)?;
+        self.put(&asked.vehicle, &command)?;
+        let number = *last;
+        drop(last);
+        let (begun, mut sent) = (Instant::now(), Instant::now());
+        while begun.elapsed().as_secs_f64() < asked.valid_s + 1.0 {
+            let answer = self.watch.vehicles().get(&asked.vehicle).and_then(|v| v.answer(&self.name, number));
+            match answer {
+                Some((true, _)) => return Ok(()),
+                Some((false, reason)) => return Err(OperatorError::Rejected(reason)),
+                None => std::thread::sleep(LOOK),
+            }
+            // A command that comes twice is followed once, and answered twice: either may be lost on the way.
+            if sent.elapsed() > AGAIN {
+                sent = Instant::now();
+                self.put(&asked.vehicle, &command)?;
+            }
+        }
+        Err(OperatorError::NoAnswer)
+    }
+
+    /// Tells a vehicle that the operator is there.
+    ///
+    /// # Errors
+    /// It was not heard, or the network did not take it.
+    pub fn tell_present(&self, vehicle: &str) -> Result<(), OperatorError> {
+        let vehicle = vehicle.to_owned();
+        let asked = Asked { vehicle, order: String::new(), places_m: Vec::new(), speed_mps: 0.0, valid_s: 2.0 };
+        // It has no number: when it comes does not matter.
+        let present = self.command(Order::Present, &asked, 0)?;
+        self.put(&asked.vehicle, &present)
+    }
+
+    /// A command, encoded.
+    fn command(&self, order: Order, asked: &Asked, number: u64) -> Result<Vec<u8>, OperatorError> {
+        let now_ns = self.watch.vehicles().get(&asked.vehicle).and_then(crate::vehicle::Vehicle::flight_ns);
+        let now_ns = now_ns.ok_or_else(|| OperatorError::NotHeard(asked.vehicle.clone()))?;
+        let command = Command {
+            number,
+            expires_ns: now_ns + (asked.valid_s * 1e9) as i64,
+            speed_mps: asked.speed_mps,
+            order: order as u32,
+            operator: Text::from(self.name.as_str()),
+            ..bytemuck::Zeroable::zeroed()
+        };
+        let places: Vec<_> = asked.places_m.iter().map(|&position_m| Waypoint { position_m }).collect();
+        let mut bytes = Vec::new();
+        let elements = bytemuck::cast_slice(&places);
+        encoding::encode(Command::KIND, bytemuck::bytes_of(&command), Waypoint::KIND, elements, &mut bytes);
+        Ok(bytes)
+    }
+
+    fn put(&self, vehicle: &str, command: &[u8]) -> Result<(), OperatorError> {
+        let put = self.watch.session.put(keys::key(vehicle, keys::COMMAND), command);
+        put.congestion_control(CongestionControl::Block)
+            .wait()
+            .map_err(|error| OperatorError::NotSent(error.to_string()))
+    }
+}

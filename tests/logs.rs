@@ -1,0 +1,147 @@
+//! Logs: whole, in parts, cut off, damaged, hostile, and of another version.
+
+mod common;
+
+use common::Run;
+use rand::{RngExt, SeedableRng};
+use recorder::{Log, recover};
+use std::path::Path;
+
+/// A few seconds of flight in lockstep, as a log.
+fn flown(run: &Run, arguments: &[&str]) -> Vec<u8> {
+    let flight = ["--lockstep", "--noise-camera", "--time-limit", "6"];
+    let flown = run.fly(&[&flight[..], arguments].concat());
+    assert_eq!(flown.outcome(), "timed_out", "{}", String::from_utf8_lossy(&flown.output.stderr));
+    std::fs::read(run.log()).expect("a log")
+}
+
+/// Messages that can be read, and whether all of the file was.
+fn readable(path: &Path, bytes: &[u8]) -> Result<(u64, bool), recorder::LogError> {
+    std::fs::write(path, bytes).expect("writable");
+    let mut messages = 0;
+    let read = Log::open(path)?.each(|_| messages += 1)?;
+    Ok((messages, read.damage.is_none() && read.no_messages == 0))
+}
+
+#[test]
+fn a_log_is_whole_for_others_and_what_is_cut_off_it_is_read_and_recovered() {
+    let run = Run::new("cut");
+    let bytes = flown(&run, &["--record-images"]);
+    let summary = mcap::Summary::read(&bytes).expect("readable").expect("indexed");
+    assert!(summary.channels.values().all(|channel| channel.schema.is_some()), "every channel has a schema");
+    let in_topics = |topic: &str| !topic.starts_with('/');
+    let counts = &summary.stats.as_ref().expect("statistics").channel_message_counts;
+    let ours = summary.channels.iter().filter(|(_, channel)| in_topics(&channel.topic));
+    let counted: u64 = ours.filter_map(|(id, _)| counts.get(id)).sum();
+    let path = run.path("cut.mcap");
+    assert_eq!(readable(&path, &bytes).expect("readable"), (counted, true));
+    assert!(counted > 2000, "{counted}");
+    // At any byte: what is before the cut is read, the more the later.
+    let mut before = 0;
+    for index in 1..=60 {
+        let cut = 8 + (bytes.len() - 9) * index / 60;
+        let (messages, is_whole) = readable(&path, &bytes[..cut]).expect("readable");
+        assert!(messages >= before && messages <= counted && !is_whole, "cut at {cut}: {messages} after {before}");
+        before = messages;
+    }
+    assert!(before > counted * 9 / 10, "{before} of {counted}");
+    readable(&path, &bytes[..bytes.len() * 2 / 3]).expect("readable");
+    let whole = run.path("whole.mcap");
+    let recovered = recover(&path, &whole).expect("recovered");
+    assert!(recovered.damage.is_open && recovered.attachments == 2, "{recovered:?}");
+    assert!(recover(&path, &whole).is_err(), "nothing is written over");
+    let summary = mcap::Summary::read(&std::fs::read(&whole).expect("written")).expect("readable").expect("indexed");
+    assert_eq!(summary.stats.expect("statistics").message_count, recovered.messages.values().sum::<u64>());
+    let output = run.command(&["report", "cut.mcap", "--out", "cut.html"]).output().expect("starts");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let page = std::fs::read_to_string(run.path("cut.html")).expect("a page");
+    assert!(page.contains("it has no end") && page.matches("<svg").count() == 7, "says that it is cut off");
+}
+
+#[test]
+fn damaged_and_hostile_logs_are_read_as_far_as_they_are_sound() {
+    let run = Run::new("damage");
+    let bytes = flown(&run, &[]);
+    let path = run.path("damaged.mcap");
+    let (counted, _) = readable(&path, &bytes).expect("readable");
+    let mut random = rand_pcg::Pcg64Mcg::seed_from_u64(3);
+    let mut fewest = counted;
+    for _ in 0..150 {
+        let mut damaged = bytes.clone();
+        for _ in 0..random.random_range(1..4) {
+            let at = random.random_range(8..damaged.len());
+            damaged[at] ^= 1 << random.random_range(0..8);
+        }
+        // A damaged channel may claim to be of another version: then it is refused.
+        if let Ok((messages, _)) = readable(&path, &damaged) {
+            assert!(messages <= counted);
+            fewest = fewest.min(messages);
+        }
+        let whole = run.path("whole.mcap");
+        let _ = recover(&path, &whole);
+        let _ = std::fs::remove_file(&whole);
+    }
+    assert!(fewest < counted, "something was damaged");
+    // Lengths that no file has.
+    for (opcode, length) in [(6, u64::MAX), (6, 1 << 62), (9, 1 << 40), (9, 3), (5, u64::MAX - 8), (3, 2)] {
+        let mut hostile = bytes[..8].to_vec();
+        hostile.push(opcode);
+        hostile.extend_from_slice(&u64::to_le_bytes(length));
+        hostile.extend_from_slice(&[0xff; 40]);
+        assert_eq!(readable(&path, &hostile).expect("read as far as it goes").0, 0);
+    }
+    for no_log in [&b"not a log at all"[..], &[]] {
+        let error = readable(&path, no_log).expect_err("refused");
+        assert!(error.to_string().contains("magic"), "{error}");
+        assert!(recover(&path, &run.path("never.mcap")).is_err() && !run.path("never.mcap").exists());
+    }
+}
+
+#[test]
+fn a_large_recording_is_in_parts_and_another_versions_is_refused() {
+    let run = Run::new("parts");
+    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/graphs/droan.ron");
+    let text = std::fs::read_to_string(source).expect("readable").replace("file_mib: 1024", "file_mib: 1");
+    for folder in ["config/graphs", "config/vehicles", "config/worlds"] {
+        std::fs::create_dir_all(run.path(folder)).expect("writable");
+        for entry in std::fs::read_dir(Path::new(env!("CARGO_MANIFEST_DIR")).join(folder)).expect("readable").flatten()
+        {
+            std::fs::copy(entry.path(), run.path(folder).join(entry.file_name())).expect("copied");
+        }
+    }
+    let default = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/default.ron");
+    std::fs::copy(default, run.path("config/default.ron")).expect("copied");
+    std::fs::write(run.path("config/graphs/droan.ron"), text).expect("writable");
+    let _alone = common::real_time();
+    let arguments = ["--config", "config/default.ron", "--noise-camera", "--record-images", "--time-limit", "8"];
+    let flown = run.fly(&arguments);
+    assert!(["timed_out", "arrived"].contains(&flown.outcome()), "{}", flown.summary);
+    let parts: Vec<_> =
+        (2..).map(|part| run.log().with_extension(format!("part{part}.mcap"))).take_while(|p| p.exists()).collect();
+    assert!(parts.len() >= 3, "{parts:?}");
+    let mut sequences = Vec::new();
+    for path in [run.log()].iter().chain(&parts) {
+        let read = Log::open(path).expect("a log").each(|record| {
+            if let Some(state) = record.header::<ipc_types::messages::VehicleState>() {
+                sequences.push(state.stamp.sequence);
+            }
+        });
+        assert!(read.expect("readable").damage.is_none(), "{} is whole", path.display());
+    }
+    assert!(sequences.windows(2).all(|pair| pair[1] == pair[0] + 1), "nothing is lost between them");
+    // A log whose messages were others.
+    let log = Log::open(&run.log()).expect("a log");
+    assert!(log.attachment("config.ron").expect("readable").is_some_and(|text| text.contains("file_mib: 1,")));
+    let mut bytes = Vec::new();
+    let mut writer = mcap::Writer::new(std::io::Cursor::new(&mut bytes)).expect("begun");
+    let metadata = [("layout", "0123456789abcdef"), ("version", "sparrowhawk/Goal/1")];
+    let metadata = metadata.into_iter().map(|(key, value)| (key.to_owned(), value.to_owned())).collect();
+    writer.add_channel(0, "goal", "protobuf", &metadata).expect("added");
+    writer.finish().expect("ended");
+    drop(writer);
+    let error = readable(&run.path("old.mcap"), &bytes).expect_err("refused").to_string();
+    assert!(
+        error.contains("sparrowhawk/Goal/1 of layout 0123456789abcdef") && error.contains("sparrowhawk/Goal/2"),
+        "{error}"
+    );
+}
