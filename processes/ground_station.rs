@@ -19,7 +19,7 @@ use std::time::{Duration, Instant};
 /// Between two lines, or two tables.
 const INTERVAL: Duration = Duration::from_millis(500);
 /// A vehicle that is to be asked for something is waited for so long.
-const PATIENCE: Duration = Duration::from_secs(5);
+const PATIENCE: Duration = Duration::from_secs(10);
 
 /// What to watch, and how.
 #[derive(Debug, Args)]

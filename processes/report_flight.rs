@@ -85,6 +85,8 @@ pub(crate) struct FlownFlight {
     pub(crate) obstacles: HashMap<[i32; 2], u32>,
     pub(crate) replans: u64,
     pub(crate) messages: u64,
+    /// Exposure of the newest image that a command came of, ns.
+    commanded_ns: i64,
     /// What are no messages.
     pub(crate) no_messages: u64,
     /// Of each file.
@@ -95,6 +97,8 @@ pub(crate) struct FlownFlight {
 pub(crate) const CELL_M: f64 = 0.25;
 /// Obstacles are drawn that lie so far above or below the vehicle, m.
 const BAND_M: f64 = 1.0;
+/// What is lower above the take-off place is the ground, m.
+const GROUND_M: f64 = 0.3;
 /// Of those that were seen from farther, stereo's error is no longer small, m.
 const NEAR_ENOUGH_M: f64 = 12.0;
 /// So many points may be nearer than what counts as nearest: single false matches.
@@ -195,7 +199,9 @@ impl FlownFlight {
             self.replans = self.replans.max(plan.replans);
             of_image(plan.stamp.published_ns, plan.image_valid_ns).map(|ms| ("plan", ms))
         } else {
-            let setpoint = record.header::<Setpoint>();
+            // The first of each image: the others are as old as they are often.
+            let setpoint = record.header::<Setpoint>().filter(|s| s.image_valid_ns > self.commanded_ns);
+            self.commanded_ns = setpoint.map_or(self.commanded_ns, |s| s.image_valid_ns);
             setpoint.and_then(|s| of_image(s.stamp.published_ns, s.image_valid_ns).map(|ms| ("command", ms)))
         };
         if let Some((name, ms)) = latency {
@@ -218,7 +224,7 @@ impl FlownFlight {
         for point in points {
             let world: Point<World> = world_from_camera * point;
             let distance_m = world.distance(Point::ZERO + body.translation);
-            if (world.z - body.translation.z).abs() < BAND_M {
+            if (world.z - body.translation.z).abs() < BAND_M && world.z > GROUND_M {
                 distances.push(distance_m);
                 if distance_m < NEAR_ENOUGH_M {
                     let cell = [world.x, world.y].map(|x| (x / CELL_M).floor() as i32);

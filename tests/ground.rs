@@ -166,7 +166,9 @@ fn junk_and_a_stopped_ground_change_nothing_in_flight() {
     assert!(sent > 1000);
     let flown = run.flown(flight.wait_with_output().expect("ends"));
     assert_eq!(flown.outcome(), "arrived", "{}", String::from_utf8_lossy(&flown.output.stderr));
-    assert!(flown.summary["degradation"].as_array().is_none_or(Vec::is_empty), "{}", flown.summary);
+    // A machine that is busy with the junk may cost images, and so some speed; it does not stop.
+    let rungs = flown.summary["degradation"].as_array().cloned().unwrap_or_default();
+    assert!(rungs.iter().all(|rung| rung["rung"] != "hover" && rung["rung"] != "hand back"), "{rungs:?}");
     assert!(flown.summary["losses"]["bridge"]["dropped"].as_u64() > Some(100), "{}", flown.summary["losses"]);
     drop(session);
     drop(seen);
@@ -258,7 +260,7 @@ fn who_has_no_certificate_sees_nothing_and_an_observer_commands_nothing() {
     for stranger in [ours.certify("eve"), theirs.certify("ann")] {
         let output = ask(&stranger, &["hover"]);
         let said = String::from_utf8_lossy(&output.stderr).into_owned();
-        assert!(!output.status.success() && said.contains("for 5 s"), "{output:?}");
+        assert!(!output.status.success() && said.contains("for 10 s"), "{output:?}");
     }
     let flown = run.flown(flight.wait_with_output().expect("ends"));
     assert_eq!(flown.outcome(), "arrived", "{}", String::from_utf8_lossy(&flown.output.stderr));

@@ -4,7 +4,7 @@
 //!   the layout in shared memory ([`descriptor_set`]): field numbers count from 1 in the order of the fields, a message's
 //!   elements are field [`ELEMENTS`]. Nothing is lost on the way: what is decoded is the message, to the bit; but for texts that are
 //!   none, in which what is no text is replaced.
-//! * What viewers show without a plugin, in **Foxglove's** schemas ([`views`]): images, transforms, lines, clouds.
+//! * What viewers show without a plugin, in **Foxglove's** schemas ([`Viewer`]): images, transforms, lines, clouds.
 //! * The same as JSON, for scripts ([`to_json`]).
 //!
 //! This crate refuses to know files, transports and the time. What it decodes may come from anywhere: every field is checked.

@@ -12,6 +12,8 @@ use std::collections::{HashMap, VecDeque};
 pub(crate) const CELL_M: f64 = 0.25;
 /// Points that lie so far above or below the vehicle count, m.
 const BAND_M: f64 = 1.0;
+/// Those that are lower above the take-off place are the ground, m.
+const GROUND_M: f64 = 0.3;
 /// Those that are nearer than this count, m.
 const NEAR_M: f64 = 12.0;
 /// Seen so often, and something is there.
@@ -73,7 +75,7 @@ impl Obstacles {
             let [x, y, z] = [0, 1, 2].map(|axis| point.as_chunks::<4>().0.get(axis).map_or(0.0, number));
             let world = world_from_camera * Point::<Camera>::new(x, y, z);
             let off = world - (Point::ZERO + body.translation);
-            if off.z.abs() < BAND_M && off.norm() < NEAR_M {
+            if off.z.abs() < BAND_M && world.z > GROUND_M && off.norm() < NEAR_M {
                 *self.cells.entry([world.x, world.y].map(|x| (x / CELL_M).floor() as i32)).or_default() += 1;
             }
         }
