@@ -11,6 +11,7 @@ use crate::fly::{FlyArguments, fly};
 use crate::ground_station::{GroundArguments, ground};
 use crate::map::{MapArguments, map};
 use crate::recover::{RecoverArguments, recover};
+use crate::refly::{ReflyArguments, refly};
 use crate::replay::{ReplayArguments, replay};
 use crate::report::{ReportArguments, report};
 use crate::run_files::VERSION;
@@ -65,6 +66,8 @@ enum Command {
     Ground(GroundArguments),
     /// Make a page (HTML) of a flight's log: path, height, speed, clearance, latencies, health.
     Report(ReportArguments),
+    /// Fly a lockstep flight's log again and compare the two, topic by topic.
+    Refly(ReflyArguments),
     /// Make a log that was cut off whole: all that can be read of it, with the index that viewers want.
     Recover(RecoverArguments),
     /// Check a configuration: every value, and how they fit each other.
@@ -103,6 +106,7 @@ pub fn run() -> Result<ExitCode, Box<dyn Error>> {
         Command::Status(arguments) => status(&arguments),
         Command::Ground(arguments) => ground(&arguments),
         Command::Report(arguments) => report(&arguments),
+        Command::Refly(arguments) => refly(&arguments),
         Command::Recover(arguments) => recover(&arguments),
         Command::Check(arguments) => check(&arguments),
         Command::Process(arguments) => child::run(&arguments).map(|()| ExitCode::SUCCESS),

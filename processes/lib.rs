@@ -45,6 +45,7 @@ mod numbers;
 mod picture;
 pub mod posed_sequence;
 mod recover;
+mod refly;
 mod replay;
 mod replay_input;
 mod replay_report;

@@ -59,6 +59,24 @@ fn a_log_is_whole_for_others_and_what_is_cut_off_it_is_read_and_recovered() {
 }
 
 #[test]
+fn a_lockstep_flight_is_flown_again_from_its_log_to_the_bit() {
+    let run = Run::new("again");
+    flown(&run, &["--seed", "12"]);
+    let log = run.log().display().to_string();
+    let again = run.command(&["refly", &log]).output().expect("starts");
+    let said = String::from_utf8_lossy(&again.stdout).into_owned();
+    assert!(again.status.success() && said.contains("0 topics differ"), "{again:?}");
+    assert!(said.lines().filter(|line| line.ends_with("the same")).count() >= 12, "{said}");
+    // One flown in real time is another flight.
+    let other = Run::new("other");
+    let _alone = common::real_time();
+    other.fly(&["--noise-camera", "--time-limit", "3", "--seed", "12"]);
+    let again = other.command(&["refly", &other.log().display().to_string()]).output().expect("starts");
+    assert_eq!(again.status.code(), Some(1), "{again:?}");
+    assert!(String::from_utf8_lossy(&again.stdout).contains("differ from the"), "{again:?}");
+}
+
+#[test]
 fn damaged_and_hostile_logs_are_read_as_far_as_they_are_sound() {
     let run = Run::new("damage");
     let bytes = flown(&run, &[]);

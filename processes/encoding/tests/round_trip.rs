@@ -44,6 +44,8 @@ fn encoded(topic: &TopicInfo, header: &[u8], elements: &[u8]) -> Vec<u8> {
 }
 
 proptest! {
+    #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::default() })]
+
     #[test]
     fn nothing_is_lost(random in prop::collection::vec(any::<u8>(), 256..512), elements in 0_usize..5) {
         for topic in TOPICS {

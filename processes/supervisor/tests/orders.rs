@@ -151,6 +151,8 @@ fn the_way_back_is_never_too_long_for_a_route() {
 }
 
 proptest! {
+    #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::default() })]
+
     /// Whatever comes, and whenever: nothing follows from what has expired, nothing from what was followed, and no place
     /// outside the fence is flown to.
     #[test]
