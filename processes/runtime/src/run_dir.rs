@@ -28,6 +28,8 @@ const SHARED_MEMORY: &str = "/dev/shm";
 const BLOCK_BYTES: u64 = 512;
 /// Longest run name: with the user's number and iceoryx2's own names, event sockets stay below 108 bytes.
 pub const MAX_RUN_NAME: usize = 24;
+/// Runs that start at the same time wait for each other, at most so long.
+const GATE_WITHIN: Duration = Duration::from_secs(1);
 /// Whoever holds a claim has written who it is within this time.
 const CLAIMED_WITHIN: Duration = Duration::from_millis(100);
 /// Free shared memory a run needs, bytes. iceoryx2 ends in SIGBUS when it runs out later.
@@ -243,6 +245,7 @@ impl RunDir {
     /// # Errors
     /// The run is in use, or its processes are; shared memory is not writable, or too little of it is free.
     pub fn take(&self) -> Result<RunLock, RunError> {
+        let _gate = self.gate()?;
         fs::create_dir_all(&self.path).map_err(inaccessible(&self.path))?;
         let (lock, alive) = self.locks()?;
         if !is_free(&lock) {
@@ -319,6 +322,19 @@ impl RunDir {
 
     fn already_running(&self) -> RunError {
         RunError::AlreadyRunning { name: self.name.clone(), lock: self.path.join("lock").display().to_string() }
+    }
+
+    /// Of those that start at the same time one after the other: else one would sweep, as dead, what another has just begun.
+    fn gate(&self) -> Result<File, RunError> {
+        let folder = self.path.parent().unwrap_or(Path::new(SHARED_MEMORY));
+        fs::create_dir_all(folder).map_err(inaccessible(folder))?;
+        let gate = File::open(folder).map_err(inaccessible(folder))?;
+        let began = Instant::now();
+        // One that was stopped in here is not waited for.
+        while !is_free(&gate) && began.elapsed() < GATE_WITHIN {
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        Ok(gate)
     }
 
     /// The supervisor's lock, and that which every process shares.
