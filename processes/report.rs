@@ -7,6 +7,7 @@ use crate::report_plots::{
 use crate::run_files::CONFIG;
 use clap::Args;
 use ipc_types::rig::CameraMount;
+use ipc_types::{Point, World};
 use recorder::Log;
 use serde::Deserialize;
 use std::error::Error;
@@ -182,7 +183,7 @@ fn events(page: &mut String, flight: &FlownFlight) -> std::fmt::Result {
 }
 
 fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
+    Point::<World>::from_array(a).distance(Point::from_array(b))
 }
 
 /// Text in a page: a log may come from anywhere.

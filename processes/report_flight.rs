@@ -1,17 +1,16 @@
 //! A flight as its log tells it: what the report's plots are drawn from.
 
 use encoding::View;
-use foxglove::messages::PointCloud;
+use ground::ObstacleCells;
 use ipc_types::messages::{
     Degradation, Goal, Health, HealthLevel, KeyframeSet, Rung, Setpoint, Trajectory, VehicleState, WorldTruth,
 };
 use ipc_types::pose_history::{PoseAt, PoseHistory};
 use ipc_types::rig::CameraMount;
 use ipc_types::wire::Header;
-use ipc_types::{Camera, FlightTime, Point, ProcessId, World};
-use prost::Message;
+use ipc_types::{FlightTime, ProcessId, Vector, World};
 use recorder::{Damage, Log, LogError, Record};
-use std::collections::{BTreeMap, HashMap};
+use std::collections::BTreeMap;
 
 /// Where the vehicle was.
 #[derive(Clone, Copy, Debug)]
@@ -81,28 +80,16 @@ pub(crate) struct FlownFlight {
     pub(crate) health: BTreeMap<ProcessId, Vec<Doing>>,
     /// From exposure, ms, by what came of it.
     pub(crate) latencies_ms: BTreeMap<&'static str, Vec<f64>>,
-    /// Cells with obstacles in them, by how often they were seen there.
-    pub(crate) obstacles: HashMap<[i32; 2], u32>,
+    pub(crate) obstacles: ObstacleCells,
     pub(crate) replans: u64,
     pub(crate) messages: u64,
-    /// Exposure of the newest image that a command came of, ns.
-    commanded_ns: i64,
     /// What are no messages.
     pub(crate) no_messages: u64,
     /// Of each file.
     pub(crate) damage: Vec<Damage>,
+    /// Exposure of the newest image that a command came of, ns.
+    commanded_ns: i64,
 }
-
-/// Side of an obstacle cell, m.
-pub(crate) const CELL_M: f64 = 0.25;
-/// Obstacles are drawn that lie so far above or below the vehicle, m.
-const BAND_M: f64 = 1.0;
-/// What is lower above the take-off place is the ground, m.
-const GROUND_M: f64 = 0.3;
-/// Of those that were seen from farther, stereo's error is no longer small, m.
-const NEAR_ENOUGH_M: f64 = 12.0;
-/// So many points may be nearer than what counts as nearest: single false matches.
-const OUTLIERS: usize = 3;
 
 impl FlownFlight {
     /// Takes everything from log files, in their order.
@@ -210,34 +197,13 @@ impl FlownFlight {
     }
 
     fn take_cloud(&mut self, message: &[u8], poses: &PoseHistory, mount: &CameraMount) {
-        let Ok(cloud) = PointCloud::decode(message) else { return };
-        let at = cloud.timestamp.unwrap_or_default();
-        let at_ns = at.total_nanos() as i64;
-        let PoseAt::Known(body) = poses.at(FlightTime::from_nanos(at_ns)) else { return };
-        let world_from_camera = body * mount.body_from_camera();
-        let number = |bytes: &[u8; 4]| f64::from(f32::from_le_bytes(*bytes));
-        let points = cloud.data.as_chunks::<12>().0.iter().map(|point| {
-            let [x, y, z] = [0, 1, 2].map(|axis| point.as_chunks::<4>().0.get(axis).map_or(0.0, number));
-            Point::<Camera>::new(x, y, z)
-        });
-        let mut distances = Vec::new();
-        for point in points {
-            let world: Point<World> = world_from_camera * point;
-            let distance_m = world.distance(Point::ZERO + body.translation);
-            if (world.z - body.translation.z).abs() < BAND_M && world.z > GROUND_M {
-                distances.push(distance_m);
-                if distance_m < NEAR_ENOUGH_M {
-                    let cell = [world.x, world.y].map(|x| (x / CELL_M).floor() as i32);
-                    *self.obstacles.entry(cell).or_default() += 1;
-                }
-            }
-        }
-        distances.sort_by(f64::total_cmp);
-        let nearest = distances.get(OUTLIERS).copied();
-        let at_s = seconds(at_ns);
+        let Some((at, points)) = encoding::points(message) else { return };
+        let PoseAt::Known(body) = poses.at(at) else { return };
+        let nearest_m = self.obstacles.see(body, mount, &points);
+        let at_s = at.as_secs_f64();
         let index = self.track.partition_point(|moment| moment.at_s < at_s);
         let speed = self.track.get(index).map(|moment| moment.speed_mps);
-        if let Some((distance_m, speed_mps)) = nearest.zip(speed) {
+        if let Some((distance_m, speed_mps)) = nearest_m.zip(speed) {
             self.seen.push(Near { at_s, distance_m, speed_mps });
         }
     }
@@ -270,6 +236,6 @@ fn seconds(nanoseconds: i64) -> f64 {
 }
 
 fn moment(at_ns: i64, position_m: [f64; 3], velocity_mps: [f64; 3]) -> Moment {
-    let speed_mps = velocity_mps.iter().map(|v| v * v).sum::<f64>().sqrt();
+    let speed_mps = Vector::<World>::from_array(velocity_mps).norm();
     Moment { at_s: seconds(at_ns), position_m, speed_mps }
 }

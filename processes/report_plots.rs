@@ -1,6 +1,7 @@
 //! The plots of a flight's report, as SVG.
 
-use crate::report_flight::{CELL_M, Doing, FlownFlight, Moment, Near};
+use crate::report_flight::{Doing, FlownFlight, Moment, Near};
+use ground::ObstacleCells;
 use ipc_types::messages::{HealthLevel, Rung};
 use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
@@ -33,8 +34,8 @@ struct Line {
 }
 
 impl Line {
-    fn new(name: &'static str, colour: RGBColor, points: impl Iterator<Item = (f64, f64)>) -> Self {
-        let points: Vec<_> = points.filter(|(x, y)| x.is_finite() && y.is_finite()).collect();
+    fn new(name: &'static str, colour: RGBColor, points: impl IntoIterator<Item = (f64, f64)>) -> Self {
+        let points: Vec<_> = points.into_iter().filter(|(x, y)| x.is_finite() && y.is_finite()).collect();
         // Of so many the lowest and the highest: what is short is not to be overlooked.
         let every = points.len().div_ceil(POINTS / 2).max(1);
         let ends = |part: &[(f64, f64)]| {
@@ -98,8 +99,8 @@ fn over_time(flight: &FlownFlight, label: &str, least: f64, lines: &[Line]) -> P
 /// The path from above, over what was seen.
 pub(crate) fn from_above(flight: &FlownFlight) -> Plot {
     let at = |moment: &Moment| (moment.position_m[0], moment.position_m[1]);
-    let there = || flight.obstacles.iter().filter(|(_, sightings)| **sightings >= SIGHTINGS);
-    let cells = || there().map(|([x, y], _)| (f64::from(*x) * CELL_M, f64::from(*y) * CELL_M));
+    let side_m = ObstacleCells::SIDE_M;
+    let cells = flight.obstacles.seen(SIGHTINGS).map(|[x, y]| (f64::from(x) * side_m, f64::from(y) * side_m));
     let goals = || flight.goals.iter().map(|goal| (goal.position_m[0], goal.position_m[1]));
     let places: Vec<_> = flight.track.iter().chain(&flight.truth).map(at).chain(goals()).collect();
     let range = |of: fn(&(f64, f64)) -> f64| {
@@ -122,8 +123,8 @@ pub(crate) fn from_above(flight: &FlownFlight) -> Plot {
         chart.configure_mesh().x_desc("east, m").y_desc("north, m").light_line_style(TRANSPARENT).draw()?;
         let inside = |(x, y): &(f64, f64)| (left..right).contains(x) && (bottom..top).contains(y);
         let square =
-            |(x, y): (f64, f64)| Rectangle::new([(x, y), (x + CELL_M, y + CELL_M)], RGBColor(90, 60, 30).filled());
-        chart.draw_series(cells().filter(inside).map(square))?;
+            |(x, y): (f64, f64)| Rectangle::new([(x, y), (x + side_m, y + side_m)], RGBColor(90, 60, 30).filled());
+        chart.draw_series(cells.filter(inside).map(square))?;
         chart.draw_series(goals().map(|goal| Circle::new(goal, 8, ORANGE_LINE.stroke_width(3))))?;
         let lines = [
             Line { name: "flown", colour: GREEN_LINE, points: thinned(&flight.truth) },
@@ -144,8 +145,8 @@ fn thinned(moments: &[Moment]) -> Vec<(f64, f64)> {
 pub(crate) fn altitude(flight: &FlownFlight) -> Plot {
     let height = |moments: &[Moment]| moments.iter().map(|m| (m.at_s, m.position_m[2])).collect::<Vec<_>>();
     let lines = [
-        Line::new("flown", GREEN_LINE, height(&flight.truth).into_iter()),
-        Line::new("as estimated", BLUE_LINE, height(&flight.track).into_iter()),
+        Line::new("flown", GREEN_LINE, height(&flight.truth)),
+        Line::new("as estimated", BLUE_LINE, height(&flight.track)),
     ];
     over_time(flight, "height, m", 0.0, &lines)
 }
@@ -164,8 +165,8 @@ pub(crate) fn speed(flight: &FlownFlight) -> Plot {
 pub(crate) fn clearance(flight: &FlownFlight) -> Plot {
     let distance = |near: &[Near]| near.iter().map(|n| (n.at_s, n.distance_m.min(30.0))).collect::<Vec<_>>();
     let lines = [
-        Line::new("nearest obstacle", GREEN_LINE, distance(&flight.clearance).into_iter()),
-        Line::new("nearest in view, as seen", ORANGE_LINE, distance(&flight.seen).into_iter()),
+        Line::new("nearest obstacle", GREEN_LINE, distance(&flight.clearance)),
+        Line::new("nearest in view, as seen", ORANGE_LINE, distance(&flight.seen)),
     ];
     over_time(flight, "distance, m", 0.0, &lines)
 }
@@ -174,8 +175,8 @@ pub(crate) fn clearance(flight: &FlownFlight) -> Plot {
 pub(crate) fn time_to_collision(flight: &FlownFlight) -> Plot {
     let time = |near: &[Near]| near.iter().map(|n| (n.at_s, n.time_to_collision_s().min(LONG_S))).collect::<Vec<_>>();
     let lines = [
-        Line::new("nearest obstacle", GREEN_LINE, time(&flight.clearance).into_iter()),
-        Line::new("nearest in view, as seen", ORANGE_LINE, time(&flight.seen).into_iter()),
+        Line::new("nearest obstacle", GREEN_LINE, time(&flight.clearance)),
+        Line::new("nearest in view, as seen", ORANGE_LINE, time(&flight.seen)),
     ];
     over_time(flight, "time to collision, s (10 and more: 10)", 0.0, &lines)
 }

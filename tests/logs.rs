@@ -118,18 +118,7 @@ fn damaged_and_hostile_logs_are_read_as_far_as_they_are_sound() {
 #[test]
 fn a_large_recording_is_in_parts_and_another_versions_is_refused() {
     let run = Run::new("parts");
-    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/graphs/droan.ron");
-    let text = std::fs::read_to_string(source).expect("readable").replace("file_mib: 1024", "file_mib: 1");
-    for folder in ["config/graphs", "config/vehicles", "config/worlds"] {
-        std::fs::create_dir_all(run.path(folder)).expect("writable");
-        for entry in std::fs::read_dir(Path::new(env!("CARGO_MANIFEST_DIR")).join(folder)).expect("readable").flatten()
-        {
-            std::fs::copy(entry.path(), run.path(folder).join(entry.file_name())).expect("copied");
-        }
-    }
-    let default = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/default.ron");
-    std::fs::copy(default, run.path("config/default.ron")).expect("copied");
-    std::fs::write(run.path("config/graphs/droan.ron"), text).expect("writable");
+    run.configure(|text| text.replace("file_mib: 1024", "file_mib: 1"));
     let _alone = common::real_time();
     let arguments = ["--config", "config/default.ron", "--noise-camera", "--record-images", "--time-limit", "8"];
     let flown = run.fly(&arguments);

@@ -170,8 +170,7 @@ fn a_file_of_raw_frames_is_played_like_a_camera() {
     let camera =
         ["--camera", "side-by-side.yuyv", "--size", "160x120", "--frames", "12", "--rate", "40", "--out", "made"];
     let (summary, _) = replay(&run, &[&camera[..], &GEOMETRY].concat(), |_| {});
-    // Of a busy machine's frames one may be lost, the last, too.
-    assert!(summary["frames"]["shown"].as_u64().is_some_and(|shown| (12..=14).contains(&shown)), "{summary}");
+    assert_eq!(summary["frames"]["shown"], 12, "{summary}");
     assert!(right_percent(&run.path("made-disparity.png")) > 95.0, "{summary}");
 }
 
@@ -243,8 +242,8 @@ fn one_camera_that_delivers_both_images_side_by_side_is_split() {
     let arguments = ["--camera", "/dev/zero", "--frames", "10"];
     let (summary, _) = replay_virtual(&run, &driver, [both, Vec::new()], "320x120", "", &arguments);
     let frames = &summary["frames"];
-    // Frames that come before there is a flight time to date them by are left out: none, or a few if the machine is busy.
-    assert!(frames["shown"] == 10 && frames["left_out"].as_u64().is_some_and(|count| count <= 5), "{summary}");
+    // A frame may come before there is a flight time to date it by.
+    assert!(frames["shown"] == 10 && frames["left_out"].as_u64().is_some_and(|count| count <= 1), "{summary}");
     assert!(right_percent(&run.path("made-disparity.png")) > 95.0);
 }
 

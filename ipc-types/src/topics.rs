@@ -174,13 +174,13 @@ topics! {
     Rungs: "degradation", Degradation, [u8; NONE], 2.0 Hz, history 1, depth 4, image false,
         from [Supervisor], to [reads(Recorder), reads(Bridge)];
     /// What operators ask for.
-    Commands: "command", Command, [Waypoint; |_| 64], 2.0 Hz, history 1, depth 32, image false,
+    Commands: "command", Command, [Waypoint; |_| Command::MOST_PLACES], 2.0 Hz, history 1, depth 32, image false,
         from [Bridge], to [reads(Supervisor), reads(Recorder)];
     /// What became of it.
     Answers: "answer", Answer, [u8; NONE], 2.0 Hz, history 1, depth 32, image false,
         from [Supervisor], to [reads(Memory), reads(Recorder), reads(Bridge)];
     /// How far the mission is.
-    MissionStates: "mission", MissionState, [Waypoint; |_| 64], 2.0 Hz, history 1, depth 1, image false,
+    MissionStates: "mission", MissionState, [Waypoint; |_| Command::MOST_PLACES], 2.0 Hz, history 1, depth 1, image false,
         from [Supervisor], to [reads(Recorder), reads(Bridge)];
 }
 

@@ -99,6 +99,14 @@ impl Run {
         found
     }
 
+    /// The shipped configuration, copied here as `config/`, with another graph file.
+    pub fn configure(&self, change: impl Fn(&str) -> String) {
+        copy(&Path::new(env!("CARGO_MANIFEST_DIR")).join("config"), &self.path("config"));
+        let graph = self.path("config/graphs/droan.ron");
+        let text = std::fs::read_to_string(&graph).expect("readable");
+        std::fs::write(&graph, change(&text)).expect("writable");
+    }
+
     /// The process of that name, once it exists.
     pub fn wait_for_process(&self, process: &str) -> u32 {
         let started = Instant::now();
@@ -112,6 +120,17 @@ impl Run {
             }
             assert!(started.elapsed() < Duration::from_secs(20), "{process} never started");
             std::thread::yield_now();
+        }
+    }
+}
+
+fn copy(from: &Path, to: &Path) {
+    std::fs::create_dir_all(to).expect("writable");
+    for entry in std::fs::read_dir(from).expect("readable").flatten() {
+        let (path, copied) = (entry.path(), to.join(entry.file_name()));
+        match path.is_dir() {
+            true => copy(&path, &copied),
+            false => drop(std::fs::copy(&path, &copied).expect("copied")),
         }
     }
 }

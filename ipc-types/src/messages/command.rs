@@ -23,6 +23,13 @@ wire! {
 }
 stamped!(Command);
 
+impl Command {
+    /// Places of a route, at most.
+    pub const MOST_PLACES: usize = 64;
+    /// No command may be valid for longer, s.
+    pub const LONGEST_S: f64 = 60.0;
+}
+
 wire! {
     /// A place to fly to.
     Waypoint = "sparrowhawk/Waypoint/1" {

@@ -17,8 +17,6 @@ pub fn key(vehicle: &str, path: &str) -> String {
 pub const ALIVE: &str = "alive";
 /// Commands, to the vehicle.
 pub const COMMAND: &str = "command";
-/// Answers, from it.
-pub const ANSWER: &str = "answer";
 /// The schema of all messages, to be queried.
 pub const SCHEMA: &str = "schema";
 /// The configuration, to be queried.

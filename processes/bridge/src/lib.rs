@@ -3,10 +3,9 @@
 //! ```text
 //! sparrowhawk/<vehicle>/alive                 liveliness token of the vehicle
 //!                      /process/<name>        liveliness token of a process that beats
-//!                      /topic/<topic>         messages (protobuf, schema below): vehicle_state, health, mission, ...
+//!                      /topic/<topic>         messages (protobuf, schema below): vehicle_state, health, mission, answer, ...
 //!                      /view/<view>           what viewers show (Foxglove's protobuf): obstacles
 //!                      /image/left, /image/disparity   previews (JPEG)
-//!                      /answer                what became of commands
 //!                      /command               commands (protobuf: sparrowhawk.Command)
 //!                      /schema, /config, /logs    to be queried: FileDescriptorSet, RON, JSON
 //! ```
@@ -24,6 +23,5 @@ mod preview;
 mod process;
 
 pub use config::{BridgeConfig, RatesConfig, TlsConfig};
-pub use link::MOST_COMMAND_BYTES;
 pub use network::{NetworkError, open};
 pub use process::{About, BridgeProcess};

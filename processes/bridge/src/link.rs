@@ -5,7 +5,7 @@ use crate::process::About;
 use crate::{BridgeConfig, NetworkError, network};
 use ipc_types::ProcessId;
 use ipc_types::messages::{Command, Order, Waypoint};
-use ipc_types::wire::Wire;
+use ipc_types::topics::Commands;
 use std::collections::{HashMap, VecDeque};
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -19,11 +19,9 @@ use zenoh::sample::Sample;
 use zenoh::{Session, Wait};
 
 /// Longest command, bytes: one with all its places is shorter.
-pub const MOST_COMMAND_BYTES: usize = 4096;
+const MOST_COMMAND_BYTES: usize = 4096;
 /// Commands that wait to be judged; beyond, the oldest gives way, and is counted.
 const MOST_WAITING: usize = 64;
-/// Places of a command.
-const MOST_PLACES: usize = 64;
 /// Longest wait for a session to close: it may wait for peers that do not answer.
 const CLOSING: Duration = Duration::from_millis(300);
 
@@ -190,10 +188,7 @@ fn decoded(sample: &Sample) -> Option<Incoming> {
     if payload.len() > MOST_COMMAND_BYTES {
         return None;
     }
-    let decoded = encoding::decode(Command::KIND, Waypoint::KIND, MOST_PLACES, &payload.to_bytes());
-    let (header, places) = decoded.ok()?;
-    let places = places.chunks_exact(size_of::<Waypoint>()).map(bytemuck::pod_read_unaligned).collect();
-    Some((bytemuck::pod_read_unaligned(&header), places))
+    encoding::decode_message::<Commands>(Command::MOST_PLACES, &payload.to_bytes()).ok()
 }
 
 /// Answers whoever asks.

@@ -23,7 +23,7 @@ pub enum NetworkError {
     },
 }
 
-/// Opens a session. Blocks: where nobody answers at a `connect` endpoint, it goes on trying in the background.
+/// Opens a session. Who only connects blocks until somebody answers; who listens, too, goes on trying in the background.
 ///
 /// # Errors
 /// What is wrong with the endpoints or the certificates.

@@ -2,12 +2,10 @@
 
 use crate::BridgeConfig;
 use crate::budget::{Budget, Class};
-use crate::keys;
 use crate::link::Link;
 use crate::preview;
 use encoding::{View, Viewer};
-use ipc_types::messages::DisparityImage;
-use ipc_types::messages::StereoFrame;
+use ipc_types::messages::{DisparityImage, StereoFrame};
 use ipc_types::rig::CameraMount;
 use ipc_types::topics::{
     Answers, Commands, Disparity, Goals, HealthReports, Keyframes, MissionStates, Path, Plan, Rungs, Setpoints, State,
@@ -118,8 +116,7 @@ impl BridgeProcess {
                 continue;
             }
             let mut bytes = Vec::new();
-            let elements = bytemuck::cast_slice(message.elements());
-            encoding::encode(T::INFO.header, bytemuck::bytes_of(header), T::INFO.element, elements, &mut bytes);
+            encoding::encode_message::<T>(header, message.elements(), &mut bytes);
             self.send(&format!("topic/{}", T::INFO.name), bytes, Encoding::APPLICATION_PROTOBUF, class);
         }
     }
@@ -188,9 +185,9 @@ impl BridgeProcess {
             let health = *message.header();
             let Some(process) = ProcessId::from_wire(health.stamp.producer) else { continue };
             self.heard.insert(process, host_now());
-            if self.is_due(keys::ALIVE, health.stamp.producer, self.config.rates.health_hz) {
-                let (info, mut bytes) = (HealthReports::INFO, Vec::new());
-                encoding::encode(info.header, bytemuck::bytes_of(&health), info.element, &[], &mut bytes);
+            if self.is_due(HealthReports::INFO.name, health.stamp.producer, self.config.rates.health_hz) {
+                let mut bytes = Vec::new();
+                encoding::encode_message::<HealthReports>(&health, &[], &mut bytes);
                 self.send("topic/health", bytes, Encoding::APPLICATION_PROTOBUF, Class::Vital);
             }
         }

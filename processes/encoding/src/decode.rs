@@ -2,8 +2,12 @@
 
 use crate::encode::wire_type;
 use crate::schema::ELEMENTS;
+use ipc_types::topics::Topic;
 use ipc_types::wire::{Field, Kind};
 use prost::encoding::{DecodeContext, WireType, decode_key, decode_varint, skip_field};
+
+/// Elements of a message of whatever topic, at most: more than any has.
+pub const MOST_ELEMENTS: usize = 4096;
 
 /// Why bytes are not a message.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -76,6 +80,16 @@ pub fn decode(header: Kind, element: Kind, most: usize, message: &[u8]) -> Resul
         take_field(header.fields(), number, found, content, &mut bytes)
     })?;
     Ok((bytes, elements))
+}
+
+/// A message of a topic: header and elements, at most so many.
+///
+/// # Errors
+/// As [`decode`].
+pub fn decode_message<T: Topic>(most: usize, message: &[u8]) -> Result<(T::Header, Vec<T::Element>), DecodeError> {
+    let (header, elements) = decode(T::INFO.header, T::INFO.element, most, message)?;
+    let elements = elements.chunks_exact(size_of::<T::Element>()).map(bytemuck::pod_read_unaligned).collect();
+    Ok((bytemuck::pod_read_unaligned(&header), elements))
 }
 
 /// Stands for any struct.

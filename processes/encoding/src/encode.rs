@@ -1,6 +1,7 @@
 //! Wire messages → protobuf.
 
 use crate::schema::ELEMENTS;
+use ipc_types::topics::Topic;
 use ipc_types::wire::{Field, Kind};
 use prost::encoding::{WireType, encode_key, encode_varint};
 
@@ -14,6 +15,12 @@ pub fn encode(header: Kind, header_bytes: &[u8], element: Kind, elements: &[u8],
             put_message(ELEMENTS, element.fields(), bytes, out);
         }
     }
+}
+
+/// Appends a message of a topic.
+pub fn encode_message<T: Topic>(header: &T::Header, elements: &[T::Element], out: &mut Vec<u8>) {
+    let (header, elements) = (bytemuck::bytes_of(header), bytemuck::cast_slice(elements));
+    encode(T::INFO.header, header, T::INFO.element, elements, out);
 }
 
 fn put_fields(fields: &[Field], bytes: &[u8], out: &mut Vec<u8>) {

@@ -9,14 +9,16 @@
 //!
 //! This crate refuses to know files, transports and the time. What it decodes may come from anywhere: every field is checked.
 
+mod cloud;
 mod decode;
 mod encode;
 mod json;
 mod schema;
 mod views;
 
-pub use decode::{DecodeError, decode};
-pub use encode::encode;
+pub use cloud::points;
+pub use decode::{DecodeError, MOST_ELEMENTS, decode, decode_message};
+pub use encode::{encode, encode_message};
 pub use json::to_json;
 pub use schema::{ELEMENTS, descriptor_set, message_name};
 pub use views::{View, Viewer};

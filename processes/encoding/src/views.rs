@@ -2,10 +2,10 @@
 //!
 //! Frames are `world` (east, north, up), `body` (forward, left, up) and `camera` (right, down, ahead), as transforms.
 
+use crate::cloud::cloud;
 use foxglove::messages::{
-    CameraCalibration, Color, FrameTransform, FrameTransforms, LinePrimitive, Log, PackedElementField, Point3,
-    PointCloud, Pose, Quaternion, RawImage, SceneEntity, SceneUpdate, SpherePrimitive, Timestamp, Vector3, log,
-    packed_element_field,
+    CameraCalibration, Color, FrameTransform, FrameTransforms, LinePrimitive, Log, Point3, PointCloud, Pose,
+    Quaternion, RawImage, SceneEntity, SceneUpdate, SpherePrimitive, Timestamp, Vector3, log,
 };
 use foxglove::{Encode, Schema};
 use ipc_types::messages::{
@@ -15,7 +15,7 @@ use ipc_types::messages::{
 use ipc_types::rig::CameraMount;
 use ipc_types::topics::Topic;
 use ipc_types::wire::{Header, Stamp};
-use ipc_types::{Body, Camera, ProcessId, StereoRig, disparity};
+use ipc_types::{Body, Camera, ProcessId, StereoRig};
 use prost::Message;
 use std::any::Any;
 use std::collections::HashMap;
@@ -106,8 +106,6 @@ impl View {
     }
 }
 
-/// Every so-many-th pixel of a row, and every so-many-th row, is a point of the cloud.
-const THINNED: usize = 8;
 /// Calibrations and the camera's place are repeated after so many states: they are to be found wherever one begins to look.
 const REPEATED: u64 = 100;
 const LINE_M: f64 = 0.05;
@@ -161,7 +159,7 @@ impl Viewer {
         } else if let Some(frame) = header.downcast_ref::<DepthFrame>().filter(|_| pixels) {
             take(View::Depth, image(&stamp, frame.width_px, "mono16", bytes).encode_to_vec());
         } else if let Some(found) = header.downcast_ref::<DisparityImage>() {
-            take(View::Obstacles, self.cloud(&stamp, found, bytes).encode_to_vec());
+            take(View::Obstacles, cloud(&self.rig, &stamp, found, bytes).encode_to_vec());
             if pixels {
                 take(View::Disparity, image(&stamp, found.width_px, "mono16", bytes).encode_to_vec());
             }
@@ -245,33 +243,6 @@ impl Viewer {
             ..CameraCalibration::default()
         }
     }
-
-    /// Pixels with a disparity, thinned, as points.
-    fn cloud(&self, stamp: &Stamp, found: &DisparityImage, bytes: &[u8]) -> PointCloud {
-        let width = (found.width_px as usize).max(1);
-        let mut data = Vec::new();
-        for (row, pixels) in bytes.chunks_exact(2 * width).enumerate().step_by(THINNED) {
-            for (column, pixel) in pixels.as_chunks::<2>().0.iter().enumerate().step_by(THINNED) {
-                if let Some(d) = disparity::decode(u16::from_ne_bytes(*pixel)) {
-                    let point = self.rig.back_project(column as f64, row as f64, f64::from(d));
-                    [point.x, point.y, point.z].iter().for_each(|&x| data.extend_from_slice(&(x as f32).to_le_bytes()));
-                }
-            }
-        }
-        let field = |(name, offset): (&str, u32)| PackedElementField {
-            name: name.to_owned(),
-            offset,
-            r#type: packed_element_field::NumericType::Float32.into(),
-        };
-        PointCloud {
-            timestamp: timestamp(stamp.valid_ns),
-            frame_id: "camera".to_owned(),
-            pose: Some(pose([0.0; 3])),
-            point_stride: 12,
-            fields: [("x", 0), ("y", 4), ("z", 8)].map(field).to_vec(),
-            data: data.into(),
-        }
-    }
 }
 
 /// Structs, copied out of bytes that may lie anywhere.
@@ -328,7 +299,7 @@ fn sphere(at_m: [f64; 3], diameter_m: f64, color: Color) -> SpherePrimitive {
     SpherePrimitive { pose: Some(pose(at_m)), size: Some(vector([diameter_m; 3])), color: Some(color) }
 }
 
-fn pose(at_m: [f64; 3]) -> Pose {
+pub(crate) fn pose(at_m: [f64; 3]) -> Pose {
     Pose { position: Some(vector(at_m)), orientation: Some(quaternion([1.0, 0.0, 0.0, 0.0])) }
 }
 
@@ -341,7 +312,7 @@ fn quaternion([w, x, y, z]: [f64; 4]) -> Quaternion {
 }
 
 /// Flight time begins at 0; nothing is older.
-fn timestamp(nanoseconds: i64) -> Option<Timestamp> {
+pub(crate) fn timestamp(nanoseconds: i64) -> Option<Timestamp> {
     let nanoseconds = nanoseconds.max(0) as u64;
     Timestamp::new_checked((nanoseconds / 1_000_000_000) as u32, (nanoseconds % 1_000_000_000) as u32)
 }

@@ -11,6 +11,7 @@ mod vehicle;
 mod watch;
 mod web;
 
+pub use obstacles::ObstacleCells;
 pub use operator::{Asked, Operator, OperatorError};
 pub use vehicle::{ProcessView, VehicleView};
 pub use watch::Watch;

@@ -1,21 +1,19 @@
 //! What a vehicle's cameras have seen, from above: cells with something in them.
 
-use foxglove::messages::PointCloud;
 use ipc_types::messages::VehicleState;
 use ipc_types::pose_history::{PoseAt, PoseHistory};
 use ipc_types::rig::CameraMount;
-use ipc_types::{Camera, FlightTime, Point};
-use prost::Message;
+use ipc_types::{Body, Camera, FlightTime, Point, Pose, World};
 use std::collections::{HashMap, VecDeque};
 
-/// Side of a cell, m.
-pub(crate) const CELL_M: f64 = 0.25;
 /// Points that lie so far above or below the vehicle count, m.
 const BAND_M: f64 = 1.0;
 /// Those that are lower above the take-off place are the ground, m.
 const GROUND_M: f64 = 0.3;
-/// Those that are nearer than this count, m.
+/// Of those that were seen from farther, stereo's error is no longer small, m.
 const NEAR_M: f64 = 12.0;
+/// So many points may be nearer than what counts as nearest: single false matches.
+const OUTLIERS: usize = 3;
 /// Seen so often, and something is there.
 const SIGHTINGS: u32 = 2;
 /// Cells, at most; beyond, it begins anew.
@@ -25,64 +23,85 @@ const POSES: usize = 200;
 /// Clouds that wait for the pose they were seen from.
 const MOST_WAITING: usize = 8;
 
-/// Cells by how often something was seen in them.
+/// Cells by how often something was seen in them, at the vehicle's height, from near.
+#[derive(Clone, Debug, Default)]
+pub struct ObstacleCells(HashMap<[i32; 2], u32>);
+
+impl ObstacleCells {
+    /// Side of a cell, m.
+    pub const SIDE_M: f64 = 0.25;
+
+    /// Takes points that were seen from a pose. Returns the distance of what is nearest, m, however far that is.
+    pub fn see(&mut self, body: Pose<World, Body>, mount: &CameraMount, points: &[Point<Camera>]) -> Option<f64> {
+        let world_from_camera = body * mount.body_from_camera();
+        let mut distances_m = Vec::new();
+        for point in points {
+            let at = world_from_camera * *point;
+            let off = at - body.origin();
+            if off.z.abs() < BAND_M && at.z > GROUND_M {
+                distances_m.push(off.norm());
+                if off.norm() < NEAR_M {
+                    *self.0.entry([at.x, at.y].map(|x| (x / Self::SIDE_M).floor() as i32)).or_default() += 1;
+                }
+            }
+        }
+        distances_m.sort_by(f64::total_cmp);
+        distances_m.get(OUTLIERS).copied()
+    }
+
+    /// Cells in which something was seen so often: their lower corners (east, north), in sides.
+    pub fn seen(&self, sightings: u32) -> impl Iterator<Item = [i32; 2]> {
+        self.0.iter().filter(move |(_, seen)| **seen >= sightings).map(|(cell, _)| *cell)
+    }
+}
+
+/// Cells of clouds and states that come in no order, and late.
 #[derive(Debug)]
 pub(crate) struct Obstacles {
     poses: PoseHistory,
-    waiting: VecDeque<PointCloud>,
-    cells: HashMap<[i32; 2], u32>,
+    waiting: VecDeque<(FlightTime, Vec<Point<Camera>>)>,
+    cells: ObstacleCells,
 }
 
 impl Obstacles {
     pub(crate) fn new() -> Self {
-        Self { poses: PoseHistory::new(POSES), waiting: VecDeque::new(), cells: HashMap::new() }
+        Self { poses: PoseHistory::new(POSES), waiting: VecDeque::new(), cells: ObstacleCells::default() }
     }
 
     pub(crate) fn take_state(&mut self, state: &VehicleState, mount: &CameraMount) {
         if let Some(pose) = state.world_from_body() {
             self.poses.push(FlightTime::from_nanos(state.stamp.valid_ns), pose);
         }
-        for cloud in std::mem::take(&mut self.waiting) {
-            self.place(cloud, mount);
+        for (at, points) in std::mem::take(&mut self.waiting) {
+            self.place(at, points, mount);
         }
     }
 
     /// Whether the bytes were a cloud.
     pub(crate) fn take_cloud(&mut self, bytes: &[u8], mount: &CameraMount) -> bool {
-        let cloud = PointCloud::decode(bytes);
-        cloud.map(|cloud| self.place(cloud, mount)).is_ok()
+        encoding::points(bytes).map(|(at, points)| self.place(at, points, mount)).is_some()
     }
 
-    fn place(&mut self, cloud: PointCloud, mount: &CameraMount) {
-        let at_ns = cloud.timestamp.unwrap_or_default().total_nanos() as i64;
-        let body = match self.poses.at(FlightTime::from_nanos(at_ns)) {
-            PoseAt::Known(body) => body,
-            PoseAt::Forgotten => return,
+    fn place(&mut self, at: FlightTime, points: Vec<Point<Camera>>, mount: &CameraMount) {
+        match self.poses.at(at) {
+            PoseAt::Known(body) => {
+                if self.cells.0.len() > MOST_CELLS {
+                    self.cells = ObstacleCells::default();
+                }
+                self.cells.see(body, mount, &points);
+            }
+            PoseAt::Forgotten => {}
             PoseAt::NotYet => {
-                self.waiting.push_back(cloud);
+                self.waiting.push_back((at, points));
                 if self.waiting.len() > MOST_WAITING {
                     self.waiting.pop_front();
                 }
-                return;
-            }
-        };
-        if self.cells.len() > MOST_CELLS {
-            self.cells.clear();
-        }
-        let world_from_camera = body * mount.body_from_camera();
-        let number = |bytes: &[u8; 4]| f64::from(f32::from_le_bytes(*bytes));
-        for point in cloud.data.as_chunks::<12>().0 {
-            let [x, y, z] = [0, 1, 2].map(|axis| point.as_chunks::<4>().0.get(axis).map_or(0.0, number));
-            let world = world_from_camera * Point::<Camera>::new(x, y, z);
-            let off = world - (Point::ZERO + body.translation);
-            if off.z.abs() < BAND_M && world.z > GROUND_M && off.norm() < NEAR_M {
-                *self.cells.entry([world.x, world.y].map(|x| (x / CELL_M).floor() as i32)).or_default() += 1;
             }
         }
     }
 
     /// Cells with something in them.
     pub(crate) fn cells(&self) -> impl Iterator<Item = [i32; 2]> {
-        self.cells.iter().filter(|(_, sightings)| **sightings >= SIGHTINGS).map(|(cell, _)| *cell)
+        self.cells.seen(SIGHTINGS)
     }
 }

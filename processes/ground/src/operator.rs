@@ -3,16 +3,13 @@
 use crate::Watch;
 use bridge::keys;
 use ipc_types::messages::{Command, Order, Waypoint};
-use ipc_types::wire::{Text, Wire};
+use ipc_types::topics::Commands;
+use ipc_types::wire::Text;
 use std::sync::Mutex;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use zenoh::Wait;
 use zenoh::qos::CongestionControl;
 
-/// Vehicles follow no command that is valid for longer, s, ...
-const LONGEST_S: f64 = 60.0;
-/// ... and no route of more places.
-const MOST_PLACES: usize = 64;
 /// A command that was not answered is sent again after so long.
 const AGAIN: Duration = Duration::from_millis(300);
 /// Between two looks for an answer.
@@ -40,11 +37,13 @@ pub struct Asked {
 impl Asked {
     fn check(&self) -> Result<(), OperatorError> {
         let Self { valid_s, places_m, .. } = self;
-        if !(0.1..=LONGEST_S).contains(valid_s) {
-            return Err(OperatorError::Rejected(format!("valid for {valid_s} s, allowed is 0.1 to {LONGEST_S}")));
+        if !(0.1..=Command::LONGEST_S).contains(valid_s) {
+            let reason = format!("valid for {valid_s} s, allowed is 0.1 to {}", Command::LONGEST_S);
+            return Err(OperatorError::Rejected(reason));
         }
-        if places_m.len() > MOST_PLACES {
-            return Err(OperatorError::Rejected(format!("{} places, allowed are {MOST_PLACES}", places_m.len())));
+        if places_m.len() > Command::MOST_PLACES {
+            let reason = format!("{} places, allowed are {}", places_m.len(), Command::MOST_PLACES);
+            return Err(OperatorError::Rejected(reason));
         }
         Ok(())
     }
@@ -147,8 +146,7 @@ impl Operator {
         };
         let places: Vec<_> = asked.places_m.iter().map(|&position_m| Waypoint { position_m }).collect();
         let mut bytes = Vec::new();
-        let elements = bytemuck::cast_slice(&places);
-        encoding::encode(Command::KIND, bytemuck::bytes_of(&command), Waypoint::KIND, elements, &mut bytes);
+        encoding::encode_message::<Commands>(&command, &places, &mut bytes);
         Ok(bytes)
     }
 

@@ -1,6 +1,6 @@
 //! One vehicle, as it is known on the ground.
 
-use crate::obstacles::{CELL_M, Obstacles};
+use crate::obstacles::{ObstacleCells, Obstacles};
 use ipc_types::ProcessId;
 use ipc_types::messages::{Health, HealthLevel, PlanMode, Rung, Setpoint, SetpointMode, VehicleState};
 use ipc_types::rig::CameraMount;
@@ -11,8 +11,6 @@ use serde_json::{Map, Value, json};
 use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::time::Instant;
 
-/// Elements of a message, at most: more than any topic has.
-pub(crate) const MOST_ELEMENTS: usize = 4096;
 /// Places of the path that are kept.
 const MOST_PLACES: usize = 2000;
 /// Between them, m.
@@ -49,7 +47,6 @@ pub(crate) struct Vehicle {
     clock: Option<(i64, Instant)>,
     latency_ms: f64,
     heard: Instant,
-    bytes: u64,
     refused: u64,
     /// When messages came lately: for the rate.
     arrivals: VecDeque<(Instant, usize)>,
@@ -138,7 +135,6 @@ impl Vehicle {
             clock: None,
             latency_ms: 0.0,
             heard,
-            bytes: 0,
             refused: 0,
             arrivals: VecDeque::new(),
         }
@@ -147,7 +143,6 @@ impl Vehicle {
     /// Something came in.
     pub(crate) fn hear(&mut self, bytes: usize) {
         self.heard = Instant::now();
-        self.bytes += bytes as u64;
         self.arrivals.push_back((self.heard, bytes));
         while self.arrivals.front().is_some_and(|(at, _)| at.elapsed().as_secs_f64() > 2.0) {
             self.arrivals.pop_front();
@@ -261,7 +256,7 @@ impl Vehicle {
             "keyframes": newest("keyframe_set")["elements"],
             "goal": newest("goal")["position_m"],
             "cells": self.obstacles.cells().collect::<Vec<_>>(),
-            "cell_m": CELL_M,
+            "cell_m": ObstacleCells::SIDE_M,
             "strip": self.strip,
             "answers": self.answers,
             "images": self.images.iter().map(|(name, (at, _))| (name.clone(), json!(at.elapsed().as_secs_f64()))).collect::<Map<_, _>>(),

@@ -1,6 +1,6 @@
 //! Everything that vehicles tell, as it comes in.
 
-use crate::vehicle::{MOST_ELEMENTS, Vehicle, VehicleView};
+use crate::vehicle::{Vehicle, VehicleView};
 use bridge::{NetworkError, TlsConfig, keys};
 use ipc_types::messages::VehicleState;
 use ipc_types::rig::CameraMount;
@@ -118,7 +118,7 @@ fn take(vehicles: &Mutex<Vehicles>, sample: &Sample) {
 
 fn take_topic(vehicle: &mut Vehicle, name: &str, bytes: &[u8]) -> bool {
     let Some(topic) = TOPICS.iter().find(|topic| topic.name == name) else { return false };
-    let decoded = encoding::decode(topic.header, topic.element, MOST_ELEMENTS, bytes);
+    let decoded = encoding::decode(topic.header, topic.element, encoding::MOST_ELEMENTS, bytes);
     let Ok((header, elements)) = decoded else { return false };
     if topic.header == VehicleState::KIND && vehicle.is_over(&bytemuck::pod_read_unaligned(&header)) {
         *vehicle = vehicle.anew();

@@ -20,6 +20,6 @@ mod scan;
 pub use config::RecorderConfig;
 pub use file::LogError;
 pub use process::{RecorderProcess, Recording};
-pub use read::{Log, ReadUp, Record};
+pub use read::{Log, Reading, Record};
 pub use recover::{Recovered, recover};
 pub use scan::Damage;

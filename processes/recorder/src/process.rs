@@ -96,8 +96,7 @@ impl RecorderProcess {
                 continue;
             };
             bytes.clear();
-            let (header_bytes, element_bytes) = (bytemuck::bytes_of(header), bytemuck::cast_slice(elements));
-            encoding::encode(T::INFO.header, header_bytes, T::INFO.element, element_bytes, &mut bytes);
+            encoding::encode_message::<T>(header, elements, &mut bytes);
             let times = Times { valid_ns: stamp.valid_ns, published_ns: stamp.published_ns };
             file.write(T::INFO.name, stamp.sequence, times, &bytes)?;
             let mut shown = Ok(());

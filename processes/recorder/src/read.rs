@@ -8,9 +8,6 @@ use mcap::records::Channel;
 use serde_json::Value;
 use std::path::Path;
 
-/// Most elements that a message of a log may have: more than any topic's.
-const MOST_ELEMENTS: usize = 4096;
-
 /// A log file in memory.
 #[derive(Debug)]
 pub struct Log {
@@ -28,9 +25,9 @@ pub struct Record {
     pub elements: Vec<u8>,
 }
 
-/// What of a log could be read.
+/// How a log was read.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct ReadUp {
+pub struct Reading {
     /// What could not, of the file.
     pub damage: Damage,
     /// Messages that are none.
@@ -51,7 +48,7 @@ impl Log {
     ///
     /// # Errors
     /// Another version wrote them.
-    pub fn each(&self, mut take: impl FnMut(Record)) -> Result<ReadUp, LogError> {
+    pub fn each(&self, mut take: impl FnMut(Record)) -> Result<Reading, LogError> {
         let (mut channels, mut no_messages) = (Channels::default(), 0);
         let damage = scan(&self.bytes, |part| {
             match part {
@@ -65,8 +62,9 @@ impl Log {
                 Part::Message(header, data) => {
                     let name = channels.get(header.channel_id).map(|channel| channel.topic.as_str());
                     let topic = TOPICS.iter().find(|topic| Some(topic.name) == name);
-                    match topic.map(|topic| (topic, encoding::decode(topic.header, topic.element, MOST_ELEMENTS, data)))
-                    {
+                    match topic.map(|topic| {
+                        (topic, encoding::decode(topic.header, topic.element, encoding::MOST_ELEMENTS, data))
+                    }) {
                         Some((topic, Ok((header, elements)))) => take(Record { topic, header, elements }),
                         Some((_, Err(_))) => no_messages += 1,
                         None => {}
@@ -76,7 +74,7 @@ impl Log {
             }
             Ok(())
         })?;
-        Ok(ReadUp { damage, no_messages })
+        Ok(Reading { damage, no_messages })
     }
 
     /// The messages of one topic as JSON.
@@ -141,12 +139,6 @@ impl Record {
     /// Its header, if it is one of that type.
     pub fn header<H: ipc_types::wire::Wire>(&self) -> Option<H> {
         (self.topic.header == H::KIND).then(|| bytemuck::pod_read_unaligned(&self.header))
-    }
-
-    /// Its elements, if they are of that type.
-    pub fn elements<E: ipc_types::wire::Wire>(&self) -> Option<Vec<E>> {
-        let of_type = self.topic.element == E::KIND;
-        of_type.then(|| self.elements.chunks_exact(size_of::<E>()).map(bytemuck::pod_read_unaligned).collect())
     }
 }
 

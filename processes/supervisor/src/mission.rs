@@ -3,7 +3,7 @@
 use crate::ladder::{Ladder, LadderConfig, Step};
 use crate::mission_config::{AtGoal, MissionConfig};
 use crate::observation::Observation;
-use crate::orders::{Directive, LinkConfig, MOST_PLACES, Orders};
+use crate::orders::{Directive, LinkConfig, Orders};
 use crate::summary::{Recorder, Summary};
 use crate::supervision::ChildStatus;
 use ipc_types::messages::{Command, Health, Order, PlanMode, Rung, Task, Trajectory, VehicleState, WorldTruth};
@@ -381,7 +381,8 @@ impl Mission {
         }
         self.next_mission = self.now + GOAL_INTERVAL;
         let config = &self.config;
-        let places: Vec<_> = config.waypoints_m.iter().chain([&config.goal_m]).copied().take(MOST_PLACES).collect();
+        let places: Vec<_> =
+            config.waypoints_m.iter().chain([&config.goal_m]).copied().take(Command::MOST_PLACES).collect();
         let (passed, hovers, note) = (self.passed as u32, u32::from(self.hovers), self.note);
         let commander = Text::from(self.orders.commander().unwrap_or(""));
         ports.publish::<MissionStates>(self.now, places.len(), |mission, elements| {

@@ -95,10 +95,6 @@ pub struct Orders {
 
 /// Operators that are remembered.
 const MOST_OPERATORS: usize = 16;
-/// Places of a route.
-pub(crate) const MOST_PLACES: usize = 64;
-/// No command is valid for longer, s.
-const LONGEST_S: f64 = 60.0;
 const SLOWEST_MPS: f64 = 0.2;
 /// Between remembered places flown by, m.
 const APART_M: f64 = 2.0;
@@ -121,7 +117,7 @@ impl Orders {
             self.flown.truncate(earliest + 1);
             return;
         }
-        if self.flown.len() == MOST_PLACES - 1 {
+        if self.flown.len() == Command::MOST_PLACES - 1 {
             // Every second of them, twice as far apart from now on; the first stays.
             let mut index = 0;
             self.flown.retain(|_| {
@@ -136,7 +132,7 @@ impl Orders {
     /// The way back: no lower than it is flown at, and inside the fence, which where it took off may not be.
     fn way_back(&self, mission: &MissionConfig) -> Vec<[f64; 3]> {
         let inside = |place: &[f64; 3]| {
-            let [x, y, z] = within(*place, &mission.fence);
+            let [x, y, z] = nearest_inside(*place, &mission.fence);
             [x, y, z.max(mission.cruise_height_m)]
         };
         self.flown.iter().rev().map(inside).collect()
@@ -169,18 +165,16 @@ impl Orders {
         if expires_s <= 0.0 {
             return refuse(format!("expired {:.1} s ago", -expires_s));
         }
-        if expires_s > LONGEST_S {
-            return refuse(format!("expires in {expires_s:.0} s, allowed are {LONGEST_S}"));
+        if expires_s > Command::LONGEST_S {
+            return refuse(format!("expires in {expires_s:.0} s, allowed are {}", Command::LONGEST_S));
         }
         if order == Order::Present {
-            let known = self.operators.iter().find(|operator| operator.name == name).cloned();
-            let operator = known.unwrap_or(Operator { name, ..Operator::default() });
+            let operator = known.cloned().unwrap_or(Operator { name, ..Operator::default() });
             return match self.hear(Operator { stays: true, heard_ns: now.as_nanos(), ..operator }) {
                 true => Verdict { directive: Ok(Directive::Nothing), is_repeated: false },
                 false => refuse("there are too many operators".to_owned()),
             };
         }
-        let known = self.operators.iter().find(|operator| operator.name == name);
         // To stop is never too often.
         if let Some(known) = known.filter(|known| command.number < known.number && order != Order::Hover) {
             return refuse(format!("number {} after {}: out of order", command.number, known.number));
@@ -249,7 +243,7 @@ impl Orders {
             let commander = self.commander.as_ref();
             let is_over = |operator: &&Operator| {
                 let silent_s = (now_ns - operator.heard_ns) as f64 * 1e-9;
-                silent_s > LONGEST_S && Some(&operator.name) != commander
+                silent_s > Command::LONGEST_S && Some(&operator.name) != commander
             };
             let silent = self.operators.iter().filter(is_over).min_by_key(|operator| operator.heard_ns);
             let Some(silent) = silent.map(|operator| operator.name.clone()) else { return false };
@@ -292,8 +286,8 @@ fn speed(command: &Command, mission: &MissionConfig) -> Result<Option<f64>, Stri
 }
 
 fn route(command: &Command, places: &[Waypoint], mission: &MissionConfig) -> Result<Directive, String> {
-    if !(1..=MOST_PLACES).contains(&places.len()) {
-        return Err(format!("{} places, allowed are 1 to {MOST_PLACES}", places.len()));
+    if !(1..=Command::MOST_PLACES).contains(&places.len()) {
+        return Err(format!("{} places, allowed are 1 to {}", places.len(), Command::MOST_PLACES));
     }
     for (index, place) in places.iter().enumerate() {
         let [x, y, z] = place.position_m;
@@ -307,10 +301,10 @@ fn route(command: &Command, places: &[Waypoint], mission: &MissionConfig) -> Res
 
 fn land(state: Option<&VehicleState>, mission: &MissionConfig) -> Result<Directive, String> {
     let at = state.map(VehicleState::position).filter(|at| at.is_finite()).ok_or("where it is is not known")?;
-    Ok(Directive::Land(within(at.to_array(), &mission.fence)))
+    Ok(Directive::Land(nearest_inside(at.to_array(), &mission.fence)))
 }
 
 /// The place inside the fence that is nearest.
-fn within(place: [f64; 3], fence: &Fence) -> [f64; 3] {
+fn nearest_inside(place: [f64; 3], fence: &Fence) -> [f64; 3] {
     std::array::from_fn(|axis| place[axis].clamp(fence.least_m[axis], fence.most_m[axis]))
 }
