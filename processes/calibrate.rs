@@ -2,6 +2,7 @@
 
 use crate::config::VehicleConfig;
 use crate::noise_plot::plot;
+use crate::say::tell;
 use clap::Args;
 use indicatif::ProgressBar;
 use ipc_types::StereoRig;
@@ -130,7 +131,7 @@ pub(crate) fn run(arguments: &CalibrateArguments) -> Result<ExitCode, Box<dyn Er
     print(&summary, &profile);
     if let Some(path) = &arguments.plot {
         plot(path, &profile, &summary.all)?;
-        println!("plot                   {}", path.display());
+        tell!("plot                   {}", path.display());
     }
     if let Some(path) = &arguments.write {
         write_sigma(path, summary.all.sigma_px)?;
@@ -320,31 +321,38 @@ fn from_truth(arguments: &CalibrateArguments) -> Result<Found, Box<dyn Error>> {
 fn print_cameras(solution: &Solution, rig: &StereoRig) {
     for (name, lens) in [("left camera", &solution.calibration.left), ("right camera", &solution.calibration.right)] {
         let ([fx, fy], [cx, cy]) = (lens.focal_px, lens.centre_px);
-        println!("{name:<22} focal length {fx:.2}, {fy:.2} px, centre {cx:.2}, {cy:.2} px");
-        println!("                       {:.5?}", lens.distortion);
+        tell!("{name:<22} focal length {fx:.2}, {fy:.2} px, centre {cx:.2}, {cy:.2} px");
+        tell!("                       {:.5?}", lens.distortion);
     }
-    println!(
+    tell!(
         "rectified              focal length {:.4} px, centre {:.4}, {:.4} px, baseline {:.6} m",
-        rig.focal_px, rig.cx_px, rig.cy_px, rig.baseline_m
+        rig.focal_px,
+        rig.cx_px,
+        rig.cy_px,
+        rig.baseline_m
     );
 }
 
 fn print(summary: &CalibrateSummary, profile: &ErrorProfile) {
     if let Some(cameras) = &summary.cameras {
-        println!("boards                 {} seen whole by both cameras", cameras.boards);
-        println!("reprojection error     {:.3} px root mean square", cameras.rms_px);
-        println!(
+        tell!("boards                 {} seen whole by both cameras", cameras.boards);
+        tell!("reprojection error     {:.3} px root mean square", cameras.rms_px);
+        tell!(
             "rows after rectifying  {:.3} px apart in the mean, {:.3} px at most",
-            cameras.mean_vertical_px, cameras.largest_vertical_px
+            cameras.mean_vertical_px,
+            cameras.largest_vertical_px
         );
     }
     let line = |name: String, fit: &GaussianFit| {
-        println!(
+        tell!(
             "{name:<30} sigma {:.3} px, bias {:+.3} px, {:.1} % outliers, {} samples",
-            fit.sigma_px, fit.bias_px, fit.outliers_percent, fit.samples
+            fit.sigma_px,
+            fit.bias_px,
+            fit.outliers_percent,
+            fit.samples
         );
     };
-    println!("unmatched              {:.1} %", summary.unmatched_percent);
+    tell!("unmatched              {:.1} %", summary.unmatched_percent);
     for part in &summary.by_distance {
         let name = match (part.from_m, part.to_m) {
             (Some(from), Some(to)) => format!("  {from:.2} to {to:.2} m"),
@@ -355,14 +363,14 @@ fn print(summary: &CalibrateSummary, profile: &ErrorProfile) {
     line("disparity error".to_owned(), &summary.all);
     let (shares, beyond) = profile.histogram(0.125, 1.0);
     for (index, share) in shares.iter().enumerate() {
-        println!(
+        tell!(
             "  {:+.3} px {:>5.1} % {}",
             -1.0 + 0.125 * (index as f64 + 0.5),
             share,
             "#".repeat(share.round() as usize)
         );
     }
-    println!("  beyond   {beyond:>5.1} %");
+    tell!("  beyond   {beyond:>5.1} %");
 }
 
 fn write_calibration(path: &Path, solution: &Solution) -> Result<(), Box<dyn Error>> {
@@ -388,7 +396,7 @@ fn write_sigma(path: &Path, sigma_px: f64) -> Result<(), Box<dyn Error>> {
         text[start..end].parse().map_err(|_| format!("{}: no number after \"sigma_px:\"", path.display()))?;
     let written = format!("{}{:.2}{}", &text[..start], sigma_px.max(0.01), &text[end..]);
     std::fs::write(path, written).map_err(|error| format!("{}: {error}", path.display()))?;
-    println!("written                {}: sigma_px {before} → {:.2}", path.display(), sigma_px.max(0.01));
+    tell!("written                {}: sigma_px {before} → {:.2}", path.display(), sigma_px.max(0.01));
     Ok(())
 }
 

@@ -3,13 +3,14 @@
 use crate::config::FlightConfig;
 use crate::crash;
 use crate::graph;
+use crate::log_replay::reruns;
 use crate::logging;
 use crate::replay_input::{self, DEFAULT_RATE_HZ};
 use crate::run_files::{CONFIG, LOG, VERSION};
 use crate::say::say;
 use clap::Args;
 use ipc_types::ProcessId;
-use recorder::RecorderProcess;
+use recorder::{Feed, Inputs, LogPlayer, RecorderProcess};
 use runtime::ipc::{DriveOptions, drive};
 use runtime::run_dir::RunDir;
 use simulator::SimulatorProcess;
@@ -45,6 +46,21 @@ pub struct ChildArguments {
     /// Frames per second, where the files do not say when they were exposed.
     #[arg(long, default_value_t = DEFAULT_RATE_HZ)]
     rate: f64,
+    /// What the player plays instead: logs of a flight, in their order.
+    #[arg(long)]
+    play_log: Vec<PathBuf>,
+    /// Of that, disparity instead of frames.
+    #[arg(long)]
+    play_disparity: bool,
+    /// How fast, of flight time per time.
+    #[arg(long, default_value_t = 1.0)]
+    pace: f64,
+    /// From that flight time on, s ...
+    #[arg(long, default_value_t = 0.0)]
+    from: f64,
+    /// ... until that.
+    #[arg(long, default_value_t = f64::INFINITY)]
+    until: f64,
 }
 
 fn parse_process(name: &str) -> Result<ProcessId, String> {
@@ -83,6 +99,12 @@ pub fn run(arguments: &ChildArguments) -> Result<(), Box<dyn Error>> {
         ProcessId::Planner => drive(graph::planner(&config), &run, rig, options)?,
         ProcessId::Controller => drive(graph::controller(&config), &run, rig, options)?,
         ProcessId::Simulator => drive(SimulatorProcess::threaded(graph::simulator(&config)?), &run, rig, options)?,
+        ProcessId::Player if !arguments.play_log.is_empty() => {
+            let feed = if arguments.play_disparity { Feed::Disparity } else { Feed::Frames };
+            let inputs = Inputs::read(&arguments.play_log, &(arguments.from..=arguments.until), feed)?;
+            let player = LogPlayer::new(inputs.inputs, arguments.pace, reruns(feed).to_vec());
+            drive(player, &run, rig, options)?;
+        }
         ProcessId::Player => {
             let content = replay_input::content(&config.vehicle.source);
             let sequence = match arguments.play.is_empty() {

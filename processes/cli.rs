@@ -15,6 +15,7 @@ use crate::refly::{ReflyArguments, refly};
 use crate::replay::{ReplayArguments, replay};
 use crate::report::{ReportArguments, report};
 use crate::run_files::VERSION;
+use crate::say::tell;
 use crate::soak::{SoakArguments, soak};
 use crate::status::{StatusArguments, status};
 use crate::stereo::{StereoArguments, stereo};
@@ -117,18 +118,18 @@ fn check(arguments: &CheckArguments) -> Result<ExitCode, Box<dyn Error>> {
     let config = FlightConfig::load(arguments.config.as_deref(), arguments.world.as_deref())?;
     config.check()?;
     let vehicle = &config.vehicle;
-    println!(
+    tell!(
         "{}: possible",
         arguments.config.as_ref().map_or("config/default.ron".into(), |path| path.display().to_string())
     );
-    println!("vehicle                {}, inflated by {} m", vehicle.name, vehicle.expansion.radius_m);
-    println!("sensor good for        {:.1} m (standard deviation of depth below the radius)", config.sensing_range_m());
-    println!(
+    tell!("vehicle                {}, inflated by {} m", vehicle.name, vehicle.expansion.radius_m);
+    tell!("sensor good for        {:.1} m (standard deviation of depth below the radius)", config.sensing_range_m());
+    tell!(
         "stopping distance      {:.1} m from {} m/s, latency included",
         vehicle.planner.stopping_distance_m(config.mission.cruise_speed_mps),
         config.mission.cruise_speed_mps
     );
-    println!("manoeuvres             {}", vehicle.planner.library.size);
+    tell!("manoeuvres             {}", vehicle.planner.library.size);
     Ok(ExitCode::SUCCESS)
 }
 

@@ -1,6 +1,7 @@
 //! `sparrowhawk curves`: what a vote weighs by disparity, as a plot: the probability mass (DROAN, Fig. 3.13) and the
 //! confidence (Fig. 3.14).
 
+use crate::say::tell;
 use crate::svg;
 use clap::Args;
 use ipc_types::StereoRig;
@@ -55,9 +56,9 @@ pub(crate) fn curves(arguments: &CurvesArguments) -> Result<ExitCode, Box<dyn Er
     for depth_m in MARKS_M {
         let d = rig.focal_baseline_px_m() / depth_m;
         let (mass, trust) = (probability_mass(&rig, &noise, radius_m, d), confidence(&rig, &noise, d));
-        println!("at {depth_m:>4} m              {d:.2} px: mass {mass:.4}, confidence {trust:.4}");
+        tell!("at {depth_m:>4} m              {d:.2} px: mass {mass:.4}, confidence {trust:.4}");
     }
-    println!("written                {}", arguments.out.display());
+    tell!("written                {}", arguments.out.display());
     Ok(ExitCode::SUCCESS)
 }
 

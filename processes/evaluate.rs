@@ -9,7 +9,7 @@ use crate::campaign_plot;
 use crate::config::FlightConfig;
 use crate::graph::Flight;
 use crate::run_files::VERSION;
-use crate::say::say;
+use crate::say::{say, tell};
 use crate::svg;
 use crate::trials::Trial;
 use crate::troubles::TroubleArguments;
@@ -242,13 +242,13 @@ pub(crate) fn evaluate(arguments: &EvaluateArguments) -> Result<ExitCode, Box<dy
     fly_all(&todo, jobs, &stop, &mut table, &bar)?;
     bar.finish_and_clear();
     let rows: Vec<&Row> = table.rows.iter().filter(|row| cases.contains(&row.case().key())).collect();
-    print!("{}", digest(&rows));
-    println!("table                  {}", arguments.out.display());
+    tell!("{}", digest(&rows).trim_end());
+    tell!("table                  {}", arguments.out.display());
     if let Some(path) = &arguments.plot
         && !rows.is_empty()
     {
         campaign_plot::plot(path, &rows, braking_limit_mps)?;
-        println!("plot                   {}", path.display());
+        tell!("plot                   {}", path.display());
     }
     if rows.len() < cases.len() {
         say(format_args!("{} of {} flights flown; the same command goes on", rows.len(), cases.len()));

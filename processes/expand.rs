@@ -2,6 +2,7 @@
 
 use crate::picture::save_disparity_picture;
 use crate::replay_report::save_layers;
+use crate::say::tell;
 use clap::{Args, ValueEnum};
 use expansion::{BackgroundRule, Config, Expander, Reach};
 use ipc_types::StereoRig;
@@ -90,10 +91,10 @@ pub(crate) fn expand(arguments: &ExpandArguments) -> Result<ExitCode, Box<dyn Er
     let cells = ExpandedCells::split(&elements, layout).ok_or("the expanded image is not of its size")?;
     let unmatched = disparity.iter().filter(|&&pixel| !is_valid(pixel)).count();
     let percent = |part: usize| 100.0 * part as f64 / rig.pixels() as f64;
-    println!("image                  {} x {} px, {:.1} % unmatched", rig.width_px, rig.height_px, percent(unmatched));
-    println!("rig                    focal length {:.2} px, baseline {:.4} m", rig.focal_px, rig.baseline_m);
-    println!("expanded               {} x {} px, {} layers", layout.width_px, layout.height_px, layout.layers.count());
-    println!(
+    tell!("image                  {} x {} px, {:.1} % unmatched", rig.width_px, rig.height_px, percent(unmatched));
+    tell!("rig                    focal length {:.2} px, baseline {:.4} m", rig.focal_px, rig.baseline_m);
+    tell!("expanded               {} x {} px, {} layers", layout.width_px, layout.height_px, layout.layers.count());
+    tell!(
         "expanded in            {:.2} ms on {} thread(s); least {:.2} ms",
         times[times.len() / 2],
         arguments.threads,
@@ -104,7 +105,7 @@ pub(crate) fn expand(arguments: &ExpandArguments) -> Result<ExitCode, Box<dyn Er
         let layer = load_disparity(&path, layout.width_px, layout.height_px)?;
         let layer: Vec<u16> = layer.iter().map(|value| value.map_or(NO_MATCH, encode)).collect();
         save_disparity_picture(&path.with_extension("png"), layout.width_px, layout.height_px, &layer)?;
-        println!("written                {}", path.display());
+        tell!("written                {}", path.display());
     }
     Ok(ExitCode::SUCCESS)
 }
@@ -124,9 +125,7 @@ fn report(rig: &StereoRig, cells: &ExpandedCells<'_>, first: usize, stride: usiz
             }
         }
         let [free, occupied, unknown] = counts.map(|count| 100.0 * count as f64 / rig.pixels() as f64);
-        println!(
-            "at {depth_m:>4} m              {free:5.1} % free, {occupied:5.1} % occupied, {unknown:5.1} % unknown"
-        );
+        tell!("at {depth_m:>4} m              {free:5.1} % free, {occupied:5.1} % occupied, {unknown:5.1} % unknown");
     }
 }
 

@@ -5,6 +5,7 @@ use crate::fault_flight::{FaultFlight, Verdict};
 use crate::fault_plan::{FaultPlan, draw};
 use crate::fault_table::{FaultRow, NONE, markdown, rows};
 use crate::run_files::VERSION;
+use crate::say::tell;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use std::collections::HashSet;
@@ -85,7 +86,7 @@ pub(crate) fn faults(arguments: &FaultsArguments) -> Result<ExitCode, Box<dyn Er
     }
     bar.finish_and_clear();
     let text = markdown(&table);
-    print!("{text}{}", account(&table));
+    tell!("{}", format!("{text}{}", account(&table)).trim_end());
     if let Some(path) = &arguments.table {
         fs::write(path, &text).map_err(|error| format!("{}: {error}", path.display()))?;
     }

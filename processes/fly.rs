@@ -10,7 +10,7 @@ use crate::graph::{self, Flight};
 use crate::numbers::parse_numbers;
 use crate::run_files::{CONFIG, RunFiles, VERSION, fresh_name};
 use crate::run_record::RunRecord;
-use crate::say::say;
+use crate::say::{say, tell};
 use crate::troubles::TroubleArguments;
 use clap::Args;
 use recorder::RecorderProcess;
@@ -183,7 +183,7 @@ fn take_over(
 
 fn conclude(lock: RunLock, files: &RunFiles, summary: &Summary) -> Result<ExitCode, Box<dyn Error>> {
     drop(lock);
-    print!("{}", report(summary, files.folder()));
+    tell!("{}", report(summary, files.folder()).trim_end());
     files.write_summary(summary)?;
     Ok(if summary.outcome == Outcome::Arrived { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }

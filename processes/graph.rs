@@ -4,11 +4,11 @@ use crate::config::{FlightConfig, VehicleConfig};
 use bridge::{About, BridgeProcess};
 use controller::ControllerProcess;
 use expansion::{ExpansionProcess, Reach};
-use ipc_types::ProcessId;
 use ipc_types::topics::TOPICS;
+use ipc_types::{FlightTime, ProcessId};
 use memory::{MapModel, MemoryProcess};
 use planner::{PlannerProcess, TakeOff};
-use recorder::{RecorderProcess, Recording};
+use recorder::{Feed, LogPlayer, RecorderProcess, Recording};
 use runtime::lockstep::Lockstep;
 use simulator::{SimulatorProcess, SimulatorSetup, World, WorldError};
 use std::cell::RefCell;
@@ -193,4 +193,25 @@ impl Flight {
         summary.clock_ratio = 1.0;
         summary
     }
+}
+
+/// Feeds the graph with a recorded flight, in lockstep, until `stop` says so.
+pub(crate) fn rerun(
+    config: &FlightConfig,
+    player: LogPlayer,
+    recorder: RecorderProcess,
+    feed: Feed,
+    stop: impl FnMut(FlightTime) -> bool,
+) {
+    let mut lockstep = Lockstep::new(config.seed, config.graph.latency.clone());
+    lockstep.add(player);
+    if feed == Feed::Frames {
+        lockstep.add(stereo_ingest(config));
+    }
+    lockstep.add(expansion(config));
+    lockstep.add(memory(config));
+    lockstep.add(planner(config).prepared());
+    lockstep.add(controller(config));
+    lockstep.add(recorder);
+    lockstep.run(stop);
 }

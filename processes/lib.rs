@@ -38,6 +38,8 @@ pub mod graph;
 pub mod graph_config;
 mod ground_station;
 mod inject;
+mod log_compare;
+mod log_replay;
 mod logging;
 mod map;
 mod noise_plot;

@@ -1,6 +1,7 @@
 //! `sparrowhawk map`: depth images with poses to a voxel grid, on files.
 
 use crate::posed_sequence::{depth_table, posed_frames};
+use crate::say::tell;
 use crate::voxels::VoxelGrid;
 use clap::Args;
 use expansion::{Config, Expander, Reach};
@@ -75,15 +76,15 @@ pub(crate) fn map(arguments: &MapArguments) -> Result<ExitCode, Box<dyn Error>> 
     let asked_ms = begun.elapsed().as_secs_f64() * 1e3;
     let [free, occupied, unknown] = grid.tally();
     let total = free + occupied + unknown;
-    println!("keyframes              {}", view.keyframes());
-    println!("voxels                 {total} of {} m, asked in {asked_ms:.1} ms", arguments.voxel);
-    println!("                       {free} free, {occupied} occupied, {unknown} unknown");
+    tell!("keyframes              {}", view.keyframes());
+    tell!("voxels                 {total} of {} m, asked in {asked_ms:.1} ms", arguments.voxel);
+    tell!("                       {free} free, {occupied} occupied, {unknown} unknown");
     let file = |ending: &str| PathBuf::from(format!("{}{ending}", arguments.out_prefix.display()));
     let (top, oblique, points) = (file("-top.png"), file("-oblique.png"), file(".ply"));
     grid.save_top(&top)?;
     grid.save_oblique(&oblique)?;
     grid.save_points(&points)?;
-    println!("written                {}, {}, {}", top.display(), oblique.display(), points.display());
+    tell!("written                {}, {}, {}", top.display(), oblique.display(), points.display());
     Ok(ExitCode::SUCCESS)
 }
 
@@ -116,7 +117,7 @@ impl MapArguments {
             return Err(violations.join("\n").into());
         }
         let (frames, left_out) = posed_frames(&self.folder)?;
-        println!("frames                 {}, {left_out} without a pose", frames.len());
+        tell!("frames                 {}, {left_out} without a pose", frames.len());
         let table = depth_table(&rig, self.unit, 0.2, self.farthest)?;
         let mut expander = Expander::new(rig, &noise, Reach::Ranged { nearest_m: 0.2 }, config);
         let layout = expander.layout();

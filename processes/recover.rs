@@ -1,5 +1,6 @@
 //! `sparrowhawk recover`: what can be read of a damaged log, as a whole one.
 
+use crate::say::tell;
 use clap::Args;
 use std::error::Error;
 use std::path::PathBuf;
@@ -19,17 +20,17 @@ pub(crate) fn recover(arguments: &RecoverArguments) -> Result<ExitCode, Box<dyn 
     let out = arguments.out.clone().unwrap_or_else(|| arguments.log.with_extension("recovered.mcap"));
     let recovered = recorder::recover(&arguments.log, &out)?;
     for (topic, messages) in &recovered.messages {
-        println!("{messages:9} {topic}");
+        tell!("{messages:9} {topic}");
     }
-    println!(
+    tell!(
         "{}: {} messages and {} attachments",
         out.display(),
         recovered.messages.values().sum::<u64>(),
         recovered.attachments
     );
     match recovered.damage.is_none() {
-        true => println!("{} was whole", arguments.log.display()),
-        false => println!("{}: {}", arguments.log.display(), recovered.damage),
+        true => tell!("{} was whole", arguments.log.display()),
+        false => tell!("{}: {}", arguments.log.display(), recovered.damage),
     }
     Ok(ExitCode::SUCCESS)
 }

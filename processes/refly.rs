@@ -2,12 +2,13 @@
 
 use crate::config::FlightConfig;
 use crate::graph::{self, Flight};
+use crate::log_compare::{Scope, compare};
 use crate::run_files::{CONFIG, VERSION};
+use crate::say::tell;
 use clap::Args;
-use recorder::{Log, Record, RecorderProcess};
-use std::collections::BTreeMap;
+use recorder::{Log, RecorderProcess};
 use std::error::Error;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::ExitCode;
 
 /// What to fly again.
@@ -19,9 +20,6 @@ pub(crate) struct ReflyArguments {
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
 }
-
-/// Messages of a topic, as they were written.
-type Messages = Vec<(Vec<u8>, Vec<u8>)>;
 
 /// Exit status 0 only if every message of every topic is the same to the bit.
 pub(crate) fn refly(arguments: &ReflyArguments) -> Result<ExitCode, Box<dyn Error>> {
@@ -35,31 +33,10 @@ pub(crate) fn refly(arguments: &ReflyArguments) -> Result<ExitCode, Box<dyn Erro
     let attachments = [(CONFIG, snapshot.as_str()), ("version.txt", VERSION)];
     let recorder = RecorderProcess::create(&out, &graph::recording(&config, &attachments))?;
     Flight::new(&config, Some(recorder))?.fly(|_| true);
-    let (before, after) = (by_topic(&log, &arguments.log)?, by_topic(&Log::open(&out)?, &out)?);
-    let mut differences = 0;
-    for topic in before.keys().chain(after.keys().filter(|topic| !before.contains_key(*topic))) {
-        let none = Messages::new();
-        let [then, now] = [&before, &after].map(|log| log.get(topic).unwrap_or(&none));
-        let verdict = compare(then, now);
-        differences += u32::from(verdict.is_some());
-        println!("{topic:<18}{:>8} messages  {}", then.len(), verdict.unwrap_or_else(|| "the same".to_owned()));
-    }
-    println!("{}: {differences} topics differ", out.display());
+    let scope = Scope { producers: Vec::new(), range_s: f64::NEG_INFINITY..=f64::INFINITY, times: true };
+    let topics = compare(&[log], &[Log::open(&out)?], &scope).map_err(|error| format!("{path}: {error}"))?;
+    topics.iter().for_each(|(topic, comparison)| tell!("{topic:<18}{comparison}"));
+    let differences = topics.values().filter(|comparison| !comparison.is_same()).count();
+    tell!("{}: {differences} topics differ", out.display());
     Ok(if differences == 0 { ExitCode::SUCCESS } else { ExitCode::FAILURE })
-}
-
-fn by_topic(log: &Log, path: &Path) -> Result<BTreeMap<&'static str, Messages>, String> {
-    let mut topics: BTreeMap<_, Messages> = BTreeMap::new();
-    let read =
-        log.each(|Record { topic, header, elements }| topics.entry(topic.name).or_default().push((header, elements)));
-    read.map(|_| topics).map_err(|error| format!("{}: {error}", path.display()))
-}
-
-/// How two recordings of a topic differ, if they do.
-fn compare(then: &Messages, now: &Messages) -> Option<String> {
-    match then.iter().zip(now).position(|(a, b)| a != b) {
-        Some(index) => Some(format!("differ from the {}th on, of {} now", index + 1, now.len())),
-        None if then.len() == now.len() => None,
-        None => Some(format!("{} now; the same as far as both go", now.len())),
-    }
 }

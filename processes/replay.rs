@@ -4,6 +4,7 @@ use crate::config::FlightConfig;
 use crate::flight_run::command;
 use crate::graph::map_model;
 use crate::graph_config::Member;
+use crate::log_replay::{self, LogArguments, Told};
 use crate::replay_input::{Input, InputArguments};
 use crate::replay_report::{FrameFigures, print, summarise, write_images};
 use crate::run_files::{RunFiles, fresh_name};
@@ -30,17 +31,23 @@ use supervisor::{ATTENTION, ChildCommand, Happening, SignalWatch, Supervision};
 /// Options of a replay.
 #[derive(Clone, Debug, Args)]
 #[command(
-    after_help = "The vehicle stands still at the world's origin: of a sequence, the map holds the newest frame alone.
+    after_help = "Of images the vehicle stands still at the world's origin: of a sequence, the map holds the newest frame alone. Of a log (MCAP,
+recorded with --record-images, or with the noise-model camera's images) it moves as it did; what the graph makes of it is
+compared, topic by topic, with what was recorded.
 
 Examples:
   sparrowhawk replay left.png right.png --calib calib.txt --out seen
   sparrowhawk replay V1_01_easy --calib V1_01_easy/mav0
   sparrowhawk replay rgbd_dataset/depth --source depth --unit 0.0002 --focal 525 --baseline 0.075 --sigma-px 0.06
+  sparrowhawk replay runs/NAME/log.mcap --pace fast
+  sparrowhawk replay runs/NAME/log.mcap --from 12 --until 20 --config my/other.ron
   sparrowhawk replay --camera /dev/video0 --pixel-format mjpeg --calib calibration.ron --frames 300"
 )]
 pub(crate) struct ReplayArguments {
     #[command(flatten)]
     input: InputArguments,
+    #[command(flatten)]
+    log: LogArguments,
     /// Mean horizontal difference that counts as texture, grey levels: above the camera's noise.
     #[arg(long, value_name = "GREY", default_value_t = 1.0)]
     least_texture: f32,
@@ -97,6 +104,11 @@ pub(crate) struct Products {
 const PATIENCE: Duration = Duration::from_secs(60);
 
 pub(crate) fn replay(arguments: &ReplayArguments) -> Result<ExitCode, Box<dyn Error>> {
+    if let Some(logs) = arguments.input.logs()? {
+        let (config, run) = (arguments.config.as_deref(), arguments.run.as_deref());
+        let told = Told { config, record_images: arguments.record_images, run, run_dir: &arguments.run_dir };
+        return log_replay::replay(logs, &arguments.log, told);
+    }
     let mut config = FlightConfig::load(arguments.config.as_deref(), None)?;
     let input = arguments.input.apply(&mut config, arguments.config.is_some())?;
     let (width_px, height_px) = (config.vehicle.rig.width_px, config.vehicle.rig.height_px);

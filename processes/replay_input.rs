@@ -17,8 +17,9 @@ pub(crate) const DEFAULT_RATE_HZ: f64 = 10.0;
 #[derive(Clone, Debug, Args)]
 pub(crate) struct InputArguments {
     /// Left and right image; or a folder of pairs (EuRoC, KITTI, left… and right…), or one for each camera; or, with --source
-    /// depth or disparity, one 16-bit image or a folder of them. PNG, JPEG, PGM/PPM or BMP.
-    #[arg(value_name = "IMAGES", num_args = 1..=2, required_unless_present = "camera")]
+    /// depth or disparity, one 16-bit image or a folder of them. PNG, JPEG, PGM/PPM or BMP. Or a flight's log (MCAP), or its parts
+    /// in their order.
+    #[arg(value_name = "IMAGES|LOG", num_args = 1.., required_unless_present = "camera")]
     images: Vec<PathBuf>,
     /// A live camera instead: the V4L2 device that delivers both images side by side (or depth), or left and right device.
     /// A file of raw frames is played like a camera.
@@ -121,6 +122,16 @@ pub(crate) enum Input {
 }
 
 impl InputArguments {
+    /// The logs, if it is logs that are to be replayed.
+    pub(crate) fn logs(&self) -> Result<Option<&[PathBuf]>, String> {
+        let is_log = |path: &PathBuf| path.extension().is_some_and(|extension| extension == "mcap");
+        match self.images.iter().filter(|path| is_log(path)).count() {
+            0 => Ok(None),
+            count if count == self.images.len() => Ok(Some(&self.images)),
+            _ => Err("images and logs at a time: expected either".to_owned()),
+        }
+    }
+
     /// Finds the images, and puts their meaning and geometry into the vehicle. `own_vehicle`: whether the configuration is
     /// the user's, so that its rig may stand for theirs.
     pub(crate) fn apply(&self, config: &mut FlightConfig, own_vehicle: bool) -> Result<Input, Box<dyn Error>> {

@@ -2,6 +2,7 @@
 
 use crate::config::FlightConfig;
 use crate::replay::{ProcessNumber, Products};
+use crate::say::tell;
 use ipc_types::disparity::{NO_MATCH, encode, is_valid};
 use ipc_types::messages::{ExpandedCells, ExpandedLayout, UNKNOWN_FRONT};
 use ipc_types::{Body, Point, Pose, World};
@@ -264,17 +265,16 @@ pub(crate) fn write_images(
 }
 
 pub(crate) fn print(summary: &ReplaySummary) {
-    println!("image                  {} x {} px", summary.width_px, summary.height_px);
+    tell!("image                  {} x {} px", summary.width_px, summary.height_px);
     print_frames(&summary.frames);
-    println!(
+    tell!(
         "disparity              {:.1} % matched, {:.1} % textureless, {:.1} ms",
-        summary.valid_percent, summary.textureless_percent, summary.stereo_ms
+        summary.valid_percent,
+        summary.textureless_percent,
+        summary.stereo_ms
     );
-    println!(
-        "expanded               {:.1} % unknown, {:.1} ms",
-        summary.expanded_unknown_percent, summary.expansion_ms
-    );
-    println!(
+    tell!("expanded               {:.1} % unknown, {:.1} ms", summary.expanded_unknown_percent, summary.expansion_ms);
+    tell!(
         "occupancy              {:.1} % free, {:.1} % occupied, {:.1} % unknown of {} points in view, 0.5 to 12 m deep; {} keyframe(s), {:.1} ms",
         summary.free_percent,
         summary.occupied_percent,
@@ -284,7 +284,7 @@ pub(crate) fn print(summary: &ReplaySummary) {
         summary.memory_ms
     );
     if let Some(error) = &summary.disparity_error {
-        println!(
+        tell!(
             "against ground truth   density {:.1} %, off by more than 1/2/3 px {:.2}/{:.2}/{:.2} %, mean error {:.2} px over {} px",
             error.density_percent,
             error.bad_percent[0],
@@ -294,39 +294,40 @@ pub(crate) fn print(summary: &ReplaySummary) {
             error.scored
         );
         let [one, two, three] = error.bad_or_unmatched_percent;
-        println!("unmatched as bad       {one:.2}/{two:.2}/{three:.2} %");
+        tell!("unmatched as bad       {one:.2}/{two:.2}/{three:.2} %");
     }
 }
 
 /// Says of a sequence or a camera how many frames there were, and how they differ.
 fn print_frames(frames: &FramesSummary) {
     for note in &frames.notes {
-        println!("note                   {note}");
+        tell!("note                   {note}");
     }
     let lost = frames.unpaired as u64 + frames.left_out;
     if frames.shown <= 1 && lost == 0 {
         return;
     }
     let of = frames.in_sequence.map_or(String::new(), |count| format!(" of {count}"));
-    println!(
+    tell!(
         "frames                 {}{of} shown, {} disparity images; {} images without a counterpart, {} frames left out",
-        frames.shown, frames.disparity_images, frames.unpaired, frames.left_out
+        frames.shown,
+        frames.disparity_images,
+        frames.unpaired,
+        frames.left_out
     );
     if let Some(first_ns) = frames.first_exposure_ns {
-        println!(
+        tell!(
             "exposures              from {first_ns} ns on, over {:.3} s; pairs up to {:.3} ms apart",
-            frames.duration_s, frames.apart_ms
+            frames.duration_s,
+            frames.apart_ms
         );
     } else if frames.in_sequence.is_some() {
-        println!(
-            "exposures              not told by the files: an even rate is assumed, over {:.3} s",
-            frames.duration_s
-        );
+        tell!("exposures              not told by the files: an even rate is assumed, over {:.3} s", frames.duration_s);
     }
     if let Some(Spread { least, median, most }) = frames.valid_percent {
-        println!("matched                {median:.1} % of the pixels ({least:.1} to {most:.1})");
+        tell!("matched                {median:.1} % of the pixels ({least:.1} to {most:.1})");
     }
     if let Some(Spread { least, median, most }) = frames.stereo_ms {
-        println!("stereo-ingest          {median:.1} ms ({least:.1} to {most:.1})");
+        tell!("stereo-ingest          {median:.1} ms ({least:.1} to {most:.1})");
     }
 }

@@ -5,6 +5,7 @@ use crate::report_plots::{
     altitude, clearance, from_above, health, latencies, latency_figures, speed, time_to_collision,
 };
 use crate::run_files::CONFIG;
+use crate::say::tell;
 use clap::Args;
 use ipc_types::rig::CameraMount;
 use ipc_types::{Point, World};
@@ -46,7 +47,7 @@ pub(crate) fn report(arguments: &ReportArguments) -> Result<ExitCode, Box<dyn Er
     let page = page(&config, &flight)?;
     let out = arguments.out.clone().unwrap_or_else(|| first.with_file_name("report.html"));
     std::fs::write(&out, page).map_err(|error| format!("{}: {error}", out.display()))?;
-    println!("{}: {} messages, {:.1} s", out.display(), flight.messages, flight.end_s());
+    tell!("{}: {} messages, {:.1} s", out.display(), flight.messages, flight.end_s());
     Ok(ExitCode::SUCCESS)
 }
 

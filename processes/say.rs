@@ -8,3 +8,11 @@ use std::io::Write;
 pub fn say(message: Arguments<'_>) {
     let _ = writeln!(std::io::stderr().lock(), "sparrowhawk: {message}");
 }
+
+/// Prints a line to standard output: `println!`, but whoever read it may have gone away, as `head` does.
+macro_rules! tell {
+    ($($part:tt)*) => {{
+        let _ = std::io::Write::write_fmt(&mut std::io::stdout().lock(), format_args!("{}\n", format_args!($($part)*)));
+    }};
+}
+pub(crate) use tell;

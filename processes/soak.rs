@@ -4,6 +4,7 @@
 use crate::fault_flight::{FaultFlight, Flown};
 use crate::fault_plan::{FaultPlan, draw};
 use crate::run_record::RunRecord;
+use crate::say::tell;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use plotters::prelude::*;
@@ -170,7 +171,7 @@ fn report(samples: &[Sample], flights: &[Flown]) -> bool {
     let lost = told().filter(is_lost).count() + flights.len() - told().count();
     let path_m: f64 = told().map(|flight| flight.path_length_m).sum();
     let lasted_s = samples.last().map_or(0.0, |sample| sample.at_s);
-    println!(
+    tell!(
         "{lasted_s:.0} s in {} flight(s), {path_m:.0} m, {faults} faults, {deaths} deaths, {collisions} collision(s), {lost} lost",
         flights.len()
     );
@@ -179,7 +180,7 @@ fn report(samples: &[Sample], flights: &[Flown]) -> bool {
     for (name, of) in FLAT {
         let (early, late) = (median(&samples[quarter..2 * quarter], of), median(&samples[3 * quarter..], of));
         let most = samples.iter().map(of).fold(0.0, f64::max);
-        println!("{name:<24} {early:8.1} in the second quarter, {late:8.1} in the last, {most:8.1} at most");
+        tell!("{name:<24} {early:8.1} in the second quarter, {late:8.1} in the last, {most:8.1} at most");
         is_flat &= late <= early * (1.0 + GROWTH) + 1.0;
     }
     is_flat && collisions + lost == 0

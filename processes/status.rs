@@ -1,6 +1,7 @@
 //! `sparrowhawk status`: the processes of a running flight, as a live table.
 
 use crate::run_record::{ProcessRecord, RunRecord};
+use crate::say::tell;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use ipc_types::HostTime;
@@ -36,11 +37,11 @@ pub(crate) fn status(arguments: &StatusArguments) -> Result<ExitCode, Box<dyn Er
     let run = find(arguments.run.as_deref())?;
     let record = RunRecord::read(&run)?;
     if arguments.json {
-        println!("{}", serde_json::to_string_pretty(&record)?);
+        tell!("{}", serde_json::to_string_pretty(&record)?);
         return Ok(ExitCode::SUCCESS);
     }
     if arguments.once || !std::io::stdout().is_terminal() {
-        print!("{}", table(&record));
+        tell!("{}", table(&record).trim_end());
         return Ok(ExitCode::SUCCESS);
     }
     let screen = ProgressBar::with_draw_target(None, ProgressDrawTarget::stdout());

@@ -1,6 +1,7 @@
 //! `sparrowhawk stereo`: one pair of images to disparity, on files.
 
 use crate::picture::save_disparity_picture;
+use crate::say::tell;
 use clap::{Args, ValueEnum};
 use ipc_types::StereoRig;
 use ipc_types::bounds::Bounds;
@@ -206,30 +207,36 @@ fn rectify(rectifier: &Rectifier, pair: &mut StereoPair) -> f64 {
 }
 
 fn print(summary: &StereoSummary, rig: Option<&StereoRig>) {
-    println!(
+    tell!(
         "image                  {} x {} px, {} disparities",
-        summary.width_px, summary.height_px, summary.max_disparity_px
+        summary.width_px,
+        summary.height_px,
+        summary.max_disparity_px
     );
     if let Some(rig) = rig {
-        println!("rig                    focal length {:.2} px, baseline {:.4} m", rig.focal_px, rig.baseline_m);
+        tell!("rig                    focal length {:.2} px, baseline {:.4} m", rig.focal_px, rig.baseline_m);
     }
     if let Some(rectify_ms) = summary.rectify_ms {
-        println!("rectified in           {rectify_ms:.2} ms, both images, one thread");
+        tell!("rectified in           {rectify_ms:.2} ms, both images, one thread");
     }
-    println!(
+    tell!(
         "matched in             {:.2} ms on {} thread(s); least {:.2} ms",
-        summary.match_ms, summary.threads, summary.least_match_ms
+        summary.match_ms,
+        summary.threads,
+        summary.least_match_ms
     );
-    println!("matched                {:.1} %, textureless {:.1} %", summary.valid_percent, summary.textureless_percent);
+    tell!("matched                {:.1} %, textureless {:.1} %", summary.valid_percent, summary.textureless_percent);
     for (name, error) in [("scored", &summary.error), ("not occluded", &summary.error_not_occluded)] {
         let Some(error) = error else { continue };
         let [bad1, bad2, bad3] = error.bad_percent;
         let [all1, all2, all3] = error.bad_or_unmatched_percent;
-        println!(
+        tell!(
             "{name:<22} {} px, {:.1} % matched, mean error {:.3} px",
-            error.scored, error.density_percent, error.mean_error_px
+            error.scored,
+            error.density_percent,
+            error.mean_error_px
         );
-        println!("  of the matched       {bad1:.2} % off by more than 1 px, {bad2:.2} % by 2, {bad3:.2} % by 3");
-        println!("  unmatched as bad     {all1:.2} %, {all2:.2} %, {all3:.2} %");
+        tell!("  of the matched       {bad1:.2} % off by more than 1 px, {bad2:.2} % by 2, {bad3:.2} % by 3");
+        tell!("  unmatched as bad     {all1:.2} %, {all2:.2} %, {all3:.2} %");
     }
 }

@@ -73,7 +73,52 @@ fn a_lockstep_flight_is_flown_again_from_its_log_to_the_bit() {
     other.fly(&["--noise-camera", "--time-limit", "3", "--seed", "12"]);
     let again = other.command(&["refly", &other.log().display().to_string()]).output().expect("starts");
     assert_eq!(again.status.code(), Some(1), "{again:?}");
-    assert!(String::from_utf8_lossy(&again.stdout).contains("differ from the"), "{again:?}");
+    assert!(String::from_utf8_lossy(&again.stdout).contains(" now, "), "{again:?}");
+}
+
+/// Cameras' images or disparity through the graph again: as fast as possible the same comes of it to the bit, over processes the
+/// same as far as no time is in it.
+#[test]
+fn what_a_flight_saw_is_replayed() {
+    let run = Run::new("replayed");
+    flown(&run, &["--seed", "13", "--record-images"]);
+    let log = run.log().display().to_string();
+    let replay = |arguments: &[&str]| {
+        let output = run.command(&[&["replay", &log], arguments].concat()).output().expect("starts");
+        (output.status.code(), String::from_utf8_lossy(&output.stdout).into_owned(), output)
+    };
+    for (arguments, topics) in [(&["--record-images"][..], 9), (&["--feed", "disparity"], 5)] {
+        let (code, said, output) = replay(&[&["--pace", "fast"], arguments].concat());
+        assert!(code == Some(0) && said.contains("0 topics differ"), "{output:?}");
+        assert!(said.matches("messages  the same").count() >= topics, "{said}");
+    }
+    // With another planner another flight is planned, by the same map.
+    run.configure(str::to_owned);
+    let vehicle = run.path("config/vehicles/scout.ron");
+    let text = std::fs::read_to_string(&vehicle).expect("readable");
+    std::fs::write(&vehicle, text.replacen("lead_s: 0.06", "lead_s: 0.05", 1)).expect("writable");
+    let (code, said, output) = replay(&["--pace", "fast", "--config", "config/default.ron"]);
+    let line = |topic: &str| said.lines().find(|line| line.starts_with(topic)).unwrap_or_else(|| panic!("{output:?}"));
+    assert!(code == Some(1) && line("keyframe_set").ends_with("the same"), "{output:?}");
+    assert!(!line("trajectory").ends_with("the same"), "{output:?}");
+    // A range of it, over processes.
+    let _alone = common::real_time();
+    let (code, said, output) =
+        replay(&["--from", "2", "--until", "4", "--pace", "2", "--run", &run.name.replace('-', "_")]);
+    assert!(code == Some(0) && said.contains("replayed           25 images"), "{output:?}");
+    let line = |topic: &str| said.lines().find(|line| line.starts_with(topic)).unwrap_or_else(|| panic!("{output:?}"));
+    assert!(line("disparity_image").contains("25 messages  the same"), "{output:?}");
+    assert!(line("trajectory").contains(" now, "), "{output:?}");
+    for (arguments, expected) in [
+        (&["--from", "900"][..], "look at --from and --until"),
+        (&["--config", "config/fast.ron"], "its camera is not the one"),
+        (&["--pace", "0"], "allowed are 0.05 to 20"),
+        (&["left.png"], "images and logs"),
+    ] {
+        let (code, _, output) = replay(arguments);
+        assert!(code == Some(2) && String::from_utf8_lossy(&output.stderr).contains(expected), "{output:?}");
+    }
+    run.assert_nothing_left();
 }
 
 #[test]

@@ -115,3 +115,17 @@ fn the_top_level_is_fixed() {
         assert!(allowed.contains(&name.as_str()), "{name} does not belong at the top level");
     }
 }
+
+/// A reader of the output that has gone away, as `head` does, must not end a program by the panic of `println!`.
+#[test]
+fn what_is_printed_cannot_panic() {
+    for entry in fs::read_dir(root().join("processes")).expect("readable").flatten() {
+        let is_build_script = entry.file_name() == "build.rs";
+        if !entry.path().is_file() || is_build_script {
+            continue;
+        }
+        let text = fs::read_to_string(entry.path()).expect("readable");
+        let prints = text.lines().filter(|line| line.trim_start().starts_with("print"));
+        assert_eq!(prints.count(), 0, "{}: tell! instead of println!", entry.path().display());
+    }
+}

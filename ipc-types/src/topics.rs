@@ -147,7 +147,7 @@ topics! {
         from [Simulator, Player, Camera], to [wakes(StereoIngest), reads(Recorder), reads(Supervisor)];
     /// Disparity images.
     Disparity: "disparity_image", DisparityImage, [u16; |rig| rig.pixels()], 12.5 Hz, history 1, depth 1, image true,
-        from [StereoIngest], to [wakes(Expansion), reads(Recorder), reads(Supervisor), reads(Bridge)];
+        from [StereoIngest, Player], to [wakes(Expansion), reads(Recorder), reads(Supervisor), reads(Bridge)];
     /// Configuration-space images.
     Expanded: "expanded_image", ExpandedImage, [u16; |rig| ExpandedLayout::largest(rig).elements()], 12.5 Hz, history 1, depth 1, image true,
         from [Expansion], to [wakes(Memory), reads(Recorder), reads(Supervisor)];
@@ -178,7 +178,7 @@ topics! {
         from [Bridge], to [reads(Supervisor), reads(Recorder)];
     /// What became of it.
     Answers: "answer", Answer, [u8; NONE], 2.0 Hz, history 1, depth 32, image false,
-        from [Supervisor], to [reads(Memory), reads(Recorder), reads(Bridge)];
+        from [Supervisor, Player], to [reads(Memory), reads(Recorder), reads(Bridge)];
     /// How far the mission is.
     MissionStates: "mission", MissionState, [Waypoint; |_| Command::MOST_PLACES], 2.0 Hz, history 1, depth 1, image false,
         from [Supervisor], to [reads(Recorder), reads(Bridge)];

@@ -8,10 +8,14 @@
 //! numbers are counted and written into the log's metadata. The log is flushed every half second, so that a kill loses no
 //! more than that; [`recover`] gives such a file its index. A file that has grown large or old is followed by another, and a
 //! disk that is nearly full is left as it is.
+//!
+//! The way back is [`LogPlayer`]: it feeds a graph with what a recorded flight's was fed with.
 
 mod config;
 mod file;
 mod files;
+mod inputs;
+mod player;
 mod process;
 mod read;
 mod recover;
@@ -19,7 +23,9 @@ mod scan;
 
 pub use config::RecorderConfig;
 pub use file::LogError;
+pub use inputs::{Feed, Input, Inputs, InputsError};
+pub use player::{ALL_PLAYED, LogPlayer};
 pub use process::{RecorderProcess, Recording};
-pub use read::{Log, Reading, Record};
+pub use read::{Entry, Log, Reading, Record};
 pub use recover::{Recovered, recover};
 pub use scan::Damage;

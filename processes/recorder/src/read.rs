@@ -4,6 +4,7 @@ use crate::file::{LAYOUT, LogError, VERSION, layout};
 use crate::scan::{Channels, Damage, Part, scan};
 use encoding::View;
 use ipc_types::topics::{TOPICS, TopicInfo};
+use ipc_types::wire::Stamp;
 use mcap::records::Channel;
 use serde_json::Value;
 use std::path::Path;
@@ -23,6 +24,15 @@ pub struct Record {
     pub header: Vec<u8>,
     /// Its elements, where they are structs.
     pub elements: Vec<u8>,
+}
+
+/// A message of a log, or what viewers show of one.
+#[derive(Debug)]
+pub enum Entry<'a> {
+    /// Ours.
+    Record(Record),
+    /// Foxglove's.
+    View(View, &'a [u8]),
 }
 
 /// How a log was read.
@@ -49,32 +59,12 @@ impl Log {
     /// # Errors
     /// Another version wrote them.
     pub fn each(&self, mut take: impl FnMut(Record)) -> Result<Reading, LogError> {
-        let (mut channels, mut no_messages) = (Channels::default(), 0);
-        let damage = scan(&self.bytes, |part| {
-            match part {
-                Part::Channel(channel) => {
-                    TOPICS
-                        .iter()
-                        .find(|topic| topic.name == channel.topic)
-                        .map_or(Ok(()), |topic| check(topic, &channel))?;
-                    channels.meet(channel);
-                }
-                Part::Message(header, data) => {
-                    let name = channels.get(header.channel_id).map(|channel| channel.topic.as_str());
-                    let topic = TOPICS.iter().find(|topic| Some(topic.name) == name);
-                    match topic.map(|topic| {
-                        (topic, encoding::decode(topic.header, topic.element, encoding::MOST_ELEMENTS, data))
-                    }) {
-                        Some((topic, Ok((header, elements)))) => take(Record { topic, header, elements }),
-                        Some((_, Err(_))) => no_messages += 1,
-                        None => {}
-                    }
-                }
-                Part::Schema(..) | Part::Attachment(..) | Part::Metadata(_) => {}
+        let is_ours = |name: &str| TOPICS.iter().any(|topic| topic.name == name);
+        self.entries(is_ours, |entry| {
+            if let Entry::Record(record) = entry {
+                take(record);
             }
-            Ok(())
-        })?;
-        Ok(Reading { damage, no_messages })
+        })
     }
 
     /// The messages of one topic as JSON.
@@ -83,11 +73,14 @@ impl Log {
     /// As [`Log::each`].
     pub fn json(&self, topic: &str) -> Result<Vec<Value>, LogError> {
         let mut values = Vec::new();
-        self.each(|record| {
-            if record.topic.name == topic {
-                values.push(record.to_json());
-            }
-        })?;
+        self.entries(
+            |name| name == topic,
+            |entry| {
+                if let Entry::Record(record) = entry {
+                    values.push(record.to_json());
+                }
+            },
+        )?;
         Ok(values)
     }
 
@@ -96,20 +89,47 @@ impl Log {
     /// # Errors
     /// None that [`Log::open`] has not had.
     pub fn views(&self, view: View, mut take: impl FnMut(&[u8])) -> Result<(), LogError> {
-        let mut channels = Channels::default();
-        scan(&self.bytes, |part| {
+        let entries = self.entries(
+            |name| name == view.topic(),
+            |entry| {
+                if let Entry::View(_, data) = entry {
+                    take(data);
+                }
+            },
+        );
+        entries.map(drop)
+    }
+
+    /// Hands what is in the channels that are wanted, by name, to `take`, in the order written.
+    ///
+    /// # Errors
+    /// Another version wrote the messages of a topic that is wanted.
+    pub fn entries(&self, wants: impl Fn(&str) -> bool, mut take: impl FnMut(Entry<'_>)) -> Result<Reading, LogError> {
+        let (mut channels, mut no_messages) = (Channels::default(), 0);
+        let damage = scan(&self.bytes, |part| {
             match part {
-                Part::Channel(channel) => channels.meet(channel),
+                Part::Channel(channel) if wants(&channel.topic) => {
+                    if let Some(topic) = topic_named(&channel.topic) {
+                        check(topic, &channel)?;
+                    }
+                    channels.meet(channel);
+                }
                 Part::Message(header, data) => {
-                    if channels.get(header.channel_id).is_some_and(|channel| channel.topic == view.topic()) {
-                        take(data);
+                    let Some(channel) = channels.get(header.channel_id) else { return Ok(()) };
+                    if let Some(topic) = topic_named(&channel.topic) {
+                        match encoding::decode(topic.header, topic.element, encoding::MOST_ELEMENTS, data) {
+                            Ok((header, elements)) => take(Entry::Record(Record { topic, header, elements })),
+                            Err(_) => no_messages += 1,
+                        }
+                    } else if let Some(view) = View::ALL.into_iter().find(|view| view.topic() == channel.topic) {
+                        take(Entry::View(view, data));
                     }
                 }
-                Part::Schema(..) | Part::Attachment(..) | Part::Metadata(_) => {}
+                Part::Channel(_) | Part::Schema(..) | Part::Attachment(..) | Part::Metadata(_) => {}
             }
             Ok(())
-        })
-        .map(drop)
+        })?;
+        Ok(Reading { damage, no_messages })
     }
 
     /// An attached text: the configuration, say.
@@ -136,10 +156,20 @@ impl Record {
         encoding::to_json(self.topic.header, &self.header, self.topic.element, &self.elements)
     }
 
+    /// Its stamp, with which every header begins.
+    pub fn stamp(&self) -> Stamp {
+        // What was decoded is as long as the topic's header.
+        bytemuck::pod_read_unaligned(&self.header[..size_of::<Stamp>()])
+    }
+
     /// Its header, if it is one of that type.
     pub fn header<H: ipc_types::wire::Wire>(&self) -> Option<H> {
         (self.topic.header == H::KIND).then(|| bytemuck::pod_read_unaligned(&self.header))
     }
+}
+
+fn topic_named(name: &str) -> Option<&'static TopicInfo> {
+    TOPICS.iter().find(|topic| topic.name == name)
 }
 
 /// Refuses what another version wrote.

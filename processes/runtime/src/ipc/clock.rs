@@ -65,6 +65,11 @@ impl ClockFollower {
         }
     }
 
+    /// Flight time per host time; 1 while it stands still, or is not known.
+    pub(super) fn rate(&self) -> f64 {
+        self.reading.map(|reading| reading.rate).filter(|&rate| rate > 0.0).unwrap_or(1.0)
+    }
+
     /// Flight time at a host time; zero before the first reading.
     pub(super) fn at(&mut self, host: HostTime) -> FlightTime {
         if let Some(Reading { flight, host: read_at, rate }) = self.reading {

@@ -89,7 +89,7 @@ pub fn drive<P: Process>(mut process: P, run: &RunDir, rig: &StereoRig, options:
             );
             break;
         }
-        let until_next = process.next_wake().map_or(LONGEST_SLEEP, |at| at.saturating_since(ports.now()));
+        let until_next = process.next_wake().map_or(LONGEST_SLEEP, |at| ports.host_until(at));
         if until_next > Duration::ZERO {
             ports.sleep(until_next.min(LONGEST_SLEEP));
         }

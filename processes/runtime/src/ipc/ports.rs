@@ -231,6 +231,12 @@ impl IpcPorts {
         self.release_late();
     }
 
+    /// Host time that passes until a flight time.
+    pub(super) fn host_until(&self, at: FlightTime) -> Duration {
+        // It may be very far away.
+        Duration::try_from_secs_f64(at.seconds_since(self.now).max(0.0) / self.clock.rate()).unwrap_or(Duration::MAX)
+    }
+
     /// Sends what injected faults have held back until now.
     fn release_late(&mut self) {
         if self.injection.is_none() {
