@@ -36,7 +36,8 @@ pub(crate) struct GroundArguments {
     /// Where the page is served. Beyond this machine, whoever reaches it may command.
     #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:8080")]
     page: SocketAddr,
-    /// What this operator is called, this machine's name if not given; no two at a time may be called the same.
+    /// What this operator is called: as in the certificate, or like this machine, if not given; no two at a time may be called the
+    /// same, and by another name than the certificate's nothing is commanded.
     #[arg(long, value_name = "NAME")]
     operator: Option<String>,
     /// A table in the terminal, instead of the page.
@@ -69,22 +70,31 @@ impl GroundArguments {
         Some(TlsConfig { authority: authority.clone(), certificate: certificate.clone(), key: key.clone() })
     }
 
-    /// Who sits at one machine is one operator.
-    fn operator(&self) -> String {
-        let host = || rustix::system::uname().nodename().to_string_lossy().into_owned();
-        self.operator.clone().unwrap_or_else(host)
+    /// The one in the certificate; without one, who sits at one machine is one operator.
+    fn operator(&self) -> Result<String, Box<dyn Error>> {
+        let host = || {
+            let name = rustix::system::uname().nodename().to_string_lossy().into_owned();
+            let may = |letter: char| if letter.is_ascii_alphanumeric() { letter } else { '-' };
+            name.chars().map(may).take(32).collect()
+        };
+        let certified = self.tls().map(|tls| tls.own_name()).transpose()?;
+        let name = self.operator.clone().or(certified).unwrap_or_else(host);
+        let expected = "expected 1 to 32 letters, digits, - or _";
+        keys::is_name(&name).then_some(()).ok_or_else(|| format!("the operator is \"{name}\", {expected}"))?;
+        Ok(name)
     }
 }
 
 pub(crate) fn ground(arguments: &GroundArguments) -> Result<ExitCode, Box<dyn Error>> {
     let stop = Arc::new(AtomicBool::new(false));
     crate::cli::stop_on_signals(&stop)?;
+    let operator = arguments.operator()?;
     let connect = if arguments.listen.is_empty() { &arguments.connect[..] } else { &[] };
     say(format_args!("looking for vehicles at {:?}", connect.iter().chain(&arguments.listen).collect::<Vec<_>>()));
     let patience = arguments.order.as_ref().map_or(Duration::MAX, |_| PATIENCE);
     let watch = joined(connect, &arguments.listen, arguments.tls(), &stop, patience)?;
     let Some(watch) = watch else { return Ok(ExitCode::SUCCESS) };
-    let operator = Operator::new(watch.clone(), &arguments.operator());
+    let operator = Operator::new(watch.clone(), &operator);
     if let Some(order) = &arguments.order {
         return ask(arguments, order, &watch, &operator);
     }

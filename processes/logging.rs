@@ -6,11 +6,15 @@
 
 use crate::run_files::EVENTS;
 use crate::say::say;
+use bridge::RefusalLayer;
 use ipc_types::ProcessId;
 use std::fs::OpenOptions;
 use std::path::Path;
 use tracing::span::EnteredSpan;
 use tracing_appender::non_blocking::WorkerGuard;
+use tracing_subscriber::Layer as _;
+use tracing_subscriber::filter::{LevelFilter, filter_fn};
+use tracing_subscriber::layer::SubscriberExt as _;
 
 /// A log under way; ends, written out, when dropped.
 #[derive(Debug)]
@@ -26,7 +30,7 @@ pub(crate) fn begin(folder: &Path, run: &str, process: ProcessId, incarnation: u
     let opened = OpenOptions::new().create(true).append(true).open(&path);
     let file = opened.inspect_err(|error| say(format_args!("{process}: no log: {}: {error}", path.display()))).ok()?;
     let (writer, worker) = tracing_appender::non_blocking(file);
-    let subscriber = tracing_subscriber::fmt()
+    let lines = tracing_subscriber::fmt::layer()
         .json()
         .flatten_event(true)
         .with_target(false)
@@ -34,7 +38,9 @@ pub(crate) fn begin(folder: &Path, run: &str, process: ProcessId, incarnation: u
         // It would complain on standard error, which may be on the same full disk.
         .log_internal_errors(false)
         .with_writer(writer)
-        .finish();
+        .with_filter(LevelFilter::INFO);
+    let refusals = RefusalLayer.with_filter(filter_fn(RefusalLayer::hears));
+    let subscriber = tracing_subscriber::registry().with(lines).with(refusals);
     // Another flight of this very process has begun one already: a test's, say.
     let _ = tracing::subscriber::set_global_default(subscriber);
     let span = tracing::info_span!("process", run, process = process.name(), incarnation).entered();

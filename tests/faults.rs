@@ -241,10 +241,10 @@ fn what_a_process_may_use_of_the_machine_is_asked_for_and_what_is_refused_is_sai
     assert!(copied.expect("starts").success());
     let graph = run.path("config/graphs/droan.ron");
     let text = fs::read_to_string(&graph).expect("readable");
-    let wanted = "(cpus: [0], realtime: 10, lock_memory: true, memory_mib: 2048)";
+    let wanted = "(cpus: [0], realtime: 10, nice: 0, lock_memory: true, memory_mib: 2048)";
     // The planner's alone: pinned to one processor all of them would keep each other from it.
     let (before, planner) = text.split_once("process: planner").expect("a member");
-    let planner = planner.replacen("(cpus: [], realtime: 0, lock_memory: false, memory_mib: 0)", wanted, 1);
+    let planner = planner.replacen("(cpus: [], realtime: 0, nice: 0, lock_memory: false, memory_mib: 0)", wanted, 1);
     fs::write(&graph, format!("{before}process: planner{planner}")).expect("writable");
     let mut flight = run.start(&["--config", "config/default.ron", "--time-limit", "4"]);
     wait_for_event(&run, "\"up\"");

@@ -2,18 +2,11 @@
 
 mod common;
 
-use common::{Run, real_time};
+use common::{Run, free_endpoint, real_time};
 use serde_json::Value;
 use std::io::{BufRead, BufReader};
-use std::net::TcpListener;
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
-
-/// An endpoint on this machine that nobody listens at.
-fn endpoint() -> String {
-    let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
-    format!("tcp/{}", listener.local_addr().expect("an address"))
-}
 
 fn ground(run: &Run, endpoint: &str, arguments: &[&str]) -> Command {
     let mut command = run.command(&["ground", "--connect", endpoint]);
@@ -68,7 +61,7 @@ fn is_fast(view: &Value) -> bool {
 #[test]
 fn a_goal_is_commanded_and_the_flight_ends_there() {
     let _alone = real_time();
-    let (run, endpoint) = (Run::new("goal"), endpoint());
+    let (run, endpoint) = (Run::new("goal"), free_endpoint());
     let flight = run.start(&["--listen", &endpoint, "--noise-camera", "--vehicle", "kestrel"]);
     let mut seen = Seen::begin(&run, &endpoint);
     let view = seen.until("under way", is_fast);
@@ -103,7 +96,7 @@ fn a_goal_is_commanded_and_the_flight_ends_there() {
 #[test]
 fn hover_resume_and_return_and_a_killed_planner_is_seen() {
     let _alone = real_time();
-    let (run, endpoint) = (Run::new("hover"), endpoint());
+    let (run, endpoint) = (Run::new("hover"), free_endpoint());
     let flight = run.start(&["--listen", &endpoint, "--noise-camera", "--seed", "3"]);
     let mut seen = Seen::begin(&run, &endpoint);
     seen.until("under way", is_fast);
@@ -142,7 +135,7 @@ fn junk_and_a_stopped_ground_change_nothing_in_flight() {
     use rand::{Rng, SeedableRng};
     use zenoh::Wait;
     let _alone = real_time();
-    let (run, endpoint) = (Run::new("junk"), endpoint());
+    let (run, endpoint) = (Run::new("junk"), free_endpoint());
     let flight = run.start(&["--listen", &endpoint, "--noise-camera", "--seed", "5"]);
     let mut seen = Seen::begin(&run, &endpoint);
     seen.until("heard", |view| view["connected"] == true);
@@ -153,8 +146,8 @@ fn junk_and_a_stopped_ground_change_nothing_in_flight() {
     let begun = Instant::now();
     let mut sent = 0_u64;
     while begun.elapsed() < Duration::from_secs(5) {
-        for path in ["command", "command", "answer", "topic/health", "image/left", "anything"] {
-            let length = random.next_u32() as usize % if path == "command" { 6000 } else { 600 };
+        for path in ["command", "command/eve", "answer", "topic/health", "image/left", "anything"] {
+            let length = random.next_u32() as usize % if path == "command/eve" { 6000 } else { 600 };
             let mut bytes = vec![0; length];
             random.fill_bytes(&mut bytes);
             session.put(format!("sparrowhawk/scout/{path}"), bytes).wait().expect("sent");
@@ -173,6 +166,26 @@ fn junk_and_a_stopped_ground_change_nothing_in_flight() {
     drop(session);
     drop(seen);
     run.assert_nothing_left();
+}
+
+/// A port that somebody else has: the page says so, and the flight goes on without the ground.
+#[test]
+fn a_busy_port_is_named() {
+    let _alone = real_time();
+    let run = Run::new("busy");
+    let taken = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
+    let address = taken.local_addr().expect("an address").to_string();
+    let flown = run.fly(&["--listen", &format!("tcp/{address}"), "--noise-camera", "--time-limit", "4"]);
+    assert_eq!(flown.outcome(), "timed_out", "{}", String::from_utf8_lossy(&flown.output.stderr));
+    let events = std::fs::read_to_string(run.path("runs").join(&run.name).join("events.jsonl")).expect("a log");
+    assert!(events.contains("no session") && events.contains(&address), "{events}");
+    let other = Run::new("page");
+    let endpoint = free_endpoint();
+    let flight = other.start(&["--listen", &endpoint, "--noise-camera", "--time-limit", "6"]);
+    let page = other.command(&["ground", "--connect", &endpoint, "--page", &address]).output().expect("starts");
+    let said = String::from_utf8_lossy(&page.stderr).into_owned();
+    assert!(page.status.code() == Some(2) && said.contains(&address), "{page:?}");
+    other.flown(flight.wait_with_output().expect("ends"));
 }
 
 #[test]
@@ -222,7 +235,7 @@ fn who_has_no_certificate_sees_nothing_and_an_observer_commands_nothing() {
     let run = Run::new("roles");
     let (ours, theirs) = (Authority::new(run.folder.path(), "ours"), Authority::new(run.folder.path(), "theirs"));
     let [authority, certificate, key] = ours.certify("vehicle");
-    let endpoint = endpoint().replace("tcp/", "tls/");
+    let endpoint = free_endpoint().replace("tcp/", "tls/");
     run.configure(|text| {
         let tls = format!("tls: Some((authority: {authority:?}, certificate: {certificate:?}, key: {key:?}))");
         let text = text.replace("tls: None", &tls).replace("pilots: []", "pilots: [\"ann\"]");
@@ -253,10 +266,20 @@ fn who_has_no_certificate_sees_nothing_and_an_observer_commands_nothing() {
         let is_refused = said.contains("for 10 s") || said.contains("certificate");
         assert!(!output.status.success() && is_refused, "{stranger:?}: {output:?}");
     }
+    // A pilot's certificate is good for his own name alone.
+    let disguised = ask(&ours.certify("ann"), &["hover", "--operator", "carl"]);
+    assert!(disguised.status.code() == Some(1), "{disguised:?}");
+    assert!(String::from_utf8_lossy(&disguised.stdout).contains("no answer"), "{disguised:?}");
     assert!(flight.try_wait().expect("asked").is_none(), "it was there to be seen all the time");
     let flown = run.flown(flight.wait_with_output().expect("ends"));
     assert_eq!(flown.outcome(), "arrived", "{}", String::from_utf8_lossy(&flown.output.stderr));
     let answers = recorder::Log::open(&run.log()).expect("a log").json("answer").expect("readable");
     assert_eq!(answers.len(), 1, "one order came in: {answers:?}");
+    assert_eq!(answers[0]["operator"], "ann", "by the name in his certificate");
+    // All of them are in the run's log.
+    let events = std::fs::read_to_string(run.path("runs").join(&run.name).join("events.jsonl")).expect("a log");
+    for expected in ["command/bob", "command/carl", "did not match any configured ACL subject", "certificate"] {
+        assert!(events.contains(expected), "{expected} is not in {events}");
+    }
     run.assert_nothing_left();
 }

@@ -160,6 +160,65 @@ fn damaged_and_hostile_logs_are_read_as_far_as_they_are_sound() {
     }
 }
 
+/// The recorder is killed at 50 instants of a flight: of what lived longer than a second, all is readable until a second before.
+#[test]
+fn what_was_recorded_a_second_before_a_kill_is_readable() {
+    let _alone = common::real_time();
+    let run = Run::new("killed");
+    // So many deaths are no crash loop here, nor is anybody to wait for its end.
+    run.configure(|text| {
+        let (before, recorder) = text.split_once("process: recorder").expect("listed");
+        format!(
+            "{before}process: recorder{}",
+            recorder.replacen("most: 15", "most: 100", 1).replacen("longest_ms: 1000", "longest_ms: 2", 1)
+        )
+    });
+    let mut random = rand_pcg::Pcg64Mcg::seed_from_u64(50);
+    let mut at_s = 1.0;
+    let mut kills = Vec::new();
+    for _ in 0..50 {
+        kills.push(at_s);
+        at_s += random.random_range(0.5..1.6);
+    }
+    let faults: Vec<_> =
+        kills.iter().map(|at_s| format!("(at_s: {at_s:.3}, fault: kill(process: recorder))")).collect();
+    std::fs::write(run.path("faults.ron"), format!("(faults: [{}])", faults.join(", "))).expect("writable");
+    let arguments = ["--config", "config/default.ron", "--noise-camera", "--speed", "1", "--faults", "faults.ron"];
+    let flown = run.fly(&[&arguments[..], &["--time-limit", "56"]].concat());
+    assert_eq!(flown.outcome(), "timed_out", "{}", String::from_utf8_lossy(&flown.output.stderr));
+    let deaths = flown.summary["deaths"].as_array().expect("a list");
+    let folder = run.path("runs").join(&run.name);
+    let (mut checked, mut least_s) = (0, f64::INFINITY);
+    for (incarnation, death) in deaths.iter().enumerate() {
+        let name = if incarnation == 0 { "log.mcap".to_owned() } else { format!("log.{incarnation}.mcap") };
+        let mut published_s = Vec::new();
+        let log = Log::open(&folder.join(&name)).unwrap_or_else(|error| panic!("{name}: {error}"));
+        let read = log.each(|record| {
+            if let Some(state) = record.header::<ipc_types::messages::VehicleState>() {
+                published_s.push(state.stamp.published_ns as f64 * 1e-9);
+            }
+        });
+        let read = read.unwrap_or_else(|error| panic!("{name}: {error}"));
+        assert!(read.damage.is_open && read.no_messages == 0, "{name}: {read:?}");
+        let killed_s = death["at_s"].as_f64().expect("a number");
+        let began_s = incarnation.checked_sub(1).map_or(Some(0.0), |before| {
+            Some(deaths[before]["at_s"].as_f64()? + 1e-3 * deaths[before]["recovered_ms"].as_f64()?)
+        });
+        // Of what lived for less, nothing is promised.
+        if began_s.is_none_or(|began_s| killed_s - began_s < 1.1) {
+            continue;
+        }
+        let last_s = published_s.last().copied().unwrap_or_else(|| panic!("{name} is empty"));
+        assert!(last_s > killed_s - 1.0, "{name}: until {last_s} s of {killed_s} s");
+        assert!(published_s.windows(2).all(|pair| pair[1] - pair[0] < 0.05), "{name} has gaps");
+        (checked, least_s) = (checked + 1, least_s.min(last_s - killed_s));
+    }
+    let killed = deaths.len();
+    println!("{killed} kills, {checked} files of more than a second, all until {:.2} s before", -least_s);
+    assert!(killed >= 48 && checked >= 8, "{killed} {checked}");
+    run.assert_nothing_left();
+}
+
 #[test]
 fn a_large_recording_is_in_parts_and_another_versions_is_refused() {
     let run = Run::new("parts");

@@ -146,6 +146,12 @@ fn walk(folder: &Path) -> Vec<PathBuf> {
     found
 }
 
+/// An endpoint on this machine that nobody listens at.
+pub fn free_endpoint() -> String {
+    let listener = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
+    format!("tcp/{}", listener.local_addr().expect("an address"))
+}
+
 /// Real-time flights share two cores: one at a time.
 pub fn real_time() -> MutexGuard<'static, ()> {
     static ONE: Mutex<()> = Mutex::new(());

@@ -1,9 +1,10 @@
 //! Where the bridge listens, who may do what, and how much it sends.
 
-use crate::keys;
+use crate::{NetworkError, keys};
 use ipc_types::bounds::Bounds;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
+use x509_parser::pem::parse_x509_pem;
 
 /// The bridge.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -55,6 +56,21 @@ pub struct TlsConfig {
     pub key: PathBuf,
 }
 
+impl TlsConfig {
+    /// The common name in one's own certificate: by it others know one's role.
+    ///
+    /// # Errors
+    /// The file cannot be read, or is no certificate with a name.
+    pub fn own_name(&self) -> Result<String, NetworkError> {
+        let wrong = |reason: &str| NetworkError::Config(format!("{}: {reason}", self.certificate.display()));
+        let pem = std::fs::read(&self.certificate).map_err(|error| wrong(&error.to_string()))?;
+        let (_, pem) = parse_x509_pem(&pem).map_err(|error| wrong(&error.to_string()))?;
+        let certificate = pem.parse_x509().map_err(|error| wrong(&error.to_string()))?;
+        let name = certificate.subject().iter_common_name().next().and_then(|name| name.as_str().ok());
+        name.map(str::to_owned).ok_or_else(|| wrong("is a certificate without a name"))
+    }
+}
+
 impl BridgeConfig {
     /// Whether there is anybody to talk to.
     pub fn is_on(&self) -> bool {
@@ -81,6 +97,10 @@ impl BridgeConfig {
             bounds.require(!is_tls || self.tls.is_some(), endpoint, "needs tls: authority, certificate and key");
             let message = "would let anybody command who reaches it: beyond 127.0.0.1 and [::1] only tls/ is possible";
             bounds.require(is_tls || is_loopback(endpoint), endpoint, message);
+        }
+        for pilot in &self.pilots {
+            let message = format_args!("is \"{pilot}\", expected 1 to 32 letters, digits, - or _").to_string();
+            bounds.require(keys::is_name(pilot), "pilots", message);
         }
         let names_needed = self.tls.is_none() || !self.pilots.is_empty();
         bounds.require(names_needed, "pilots", "is empty: with certificates, it names those who may command");

@@ -6,7 +6,7 @@
 //!                      /topic/<topic>         messages (protobuf, schema below): vehicle_state, health, mission, answer, ...
 //!                      /view/<view>           what viewers show (Foxglove's protobuf): obstacles
 //!                      /image/left, /image/disparity   previews (JPEG)
-//!                      /command               commands (protobuf: sparrowhawk.Command)
+//!                      /command/<operator>    commands (protobuf: sparrowhawk.Command) of the operator whom they name
 //!                      /schema, /config, /logs    to be queried: FileDescriptorSet, RON, JSON
 //! ```
 //!
@@ -21,7 +21,9 @@ mod link;
 mod network;
 mod preview;
 mod process;
+mod refusals;
 
 pub use config::{BridgeConfig, RatesConfig, TlsConfig};
 pub use network::{NetworkError, open};
 pub use process::{About, BridgeProcess};
+pub use refusals::RefusalLayer;

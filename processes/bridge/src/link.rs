@@ -100,7 +100,7 @@ impl OpenLink {
         let inbox = Arc::new(Inbox::default());
         let fills = Arc::clone(&inbox);
         session
-            .declare_subscriber(key(vehicle, keys::COMMAND))
+            .declare_subscriber(key(vehicle, &keys::command("*")))
             .callback(move |sample| fills.take(&sample))
             .background()
             .wait()?;
@@ -188,7 +188,10 @@ fn decoded(sample: &Sample) -> Option<Incoming> {
     if payload.len() > MOST_COMMAND_BYTES {
         return None;
     }
-    encoding::decode_message::<Commands>(Command::MOST_PLACES, &payload.to_bytes()).ok()
+    let command = encoding::decode_message::<Commands>(Command::MOST_PLACES, &payload.to_bytes()).ok()?;
+    // Who may send by this key is one thing, and whom the command names another.
+    let operator = sample.key_expr().as_str().rsplit('/').next()?;
+    (command.0.operator.to_string_lossy() == operator).then_some(command)
 }
 
 /// Answers whoever asks.

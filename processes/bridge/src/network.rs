@@ -94,33 +94,37 @@ fn with_buffers(endpoints: &[String]) -> Vec<String> {
 
 /// Observers may look, pilots may command as well, by the names in their certificates. Nobody else may do anything.
 fn access_control(roles: &BridgeConfig) -> Value {
-    let (all, command) = (keys::key(&roles.vehicle, "**"), keys::key(&roles.vehicle, keys::COMMAND));
+    let all = keys::key(&roles.vehicle, "**");
+    let command = |operator: &str| keys::key(&roles.vehicle, &keys::command(operator));
     // Who looks for vehicles does not know their names yet: what may be declared is wider than what is told.
     let any = keys::key("*", "**");
     let look = ["query", "liveliness_query", "declare_liveliness_subscriber", "declare_subscriber"];
     let tell = ["put", "delete", "reply", "declare_queryable", "liveliness_token"];
     let rule = |id: &str, messages: &[&str], flow: &str, key: &str| json!({ "id": id, "messages": messages, "flows": [flow], "permission": "allow", "key_exprs": [key] });
     let subject = |id: &str, names: &[String]| json!({ "id": id, "cert_common_names": names });
-    let mut subjects = vec![subject("pilots", &roles.pilots)];
-    let mut everybody = vec!["pilots"];
+    // Each pilot is a subject of his own: his certificate lets him command by his own name alone.
+    let own = |pilot: &String| format!("pilot {pilot}");
+    let mut everybody: Vec<_> = roles.pilots.iter().map(own).collect();
+    let mut subjects: Vec<_> =
+        roles.pilots.iter().map(|pilot| subject(&own(pilot), std::slice::from_ref(pilot))).collect();
     if !roles.observers.is_empty() {
         subjects.push(subject("observers", &roles.observers));
-        everybody.push("observers");
+        everybody.push("observers".to_owned());
     }
+    let mut rules = vec![
+        rule("look", &look, "ingress", &any),
+        rule("told", &tell, "egress", &all),
+        // The vehicle asks for commands; only a pilot's come in.
+        rule("asked", &["declare_subscriber"], "egress", &command("*")),
+    ];
+    rules.extend(roles.pilots.iter().map(|pilot| rule(&own(pilot), &["put"], "ingress", &command(pilot))));
+    let mut policies = vec![json!({ "rules": ["look", "told", "asked"], "subjects": everybody })];
+    policies.extend(roles.pilots.iter().map(|pilot| json!({ "rules": [own(pilot)], "subjects": [own(pilot)] })));
     json!({
         "enabled": true,
         "default_permission": "deny",
-        "rules": [
-            rule("look", &look, "ingress", &any),
-            rule("told", &tell, "egress", &all),
-            // The vehicle asks for commands; only a pilot's come in.
-            rule("asked", &["declare_subscriber"], "egress", &command),
-            rule("command", &["put"], "ingress", &command),
-        ],
+        "rules": rules,
         "subjects": subjects,
-        "policies": [
-            { "rules": ["look", "told", "asked"], "subjects": everybody },
-            { "rules": ["command"], "subjects": ["pilots"] },
-        ],
+        "policies": policies,
     })
 }

@@ -4,6 +4,7 @@ use crate::BridgeConfig;
 use crate::budget::{Budget, Class};
 use crate::link::Link;
 use crate::preview;
+use crate::refusals;
 use encoding::{View, Viewer};
 use ipc_types::messages::{DisparityImage, StereoFrame};
 use ipc_types::rig::CameraMount;
@@ -58,6 +59,8 @@ pub struct BridgeProcess {
     withheld: u64,
     /// Not taken by the network.
     untaken: u64,
+    /// Refused by the network.
+    unauthorised: u64,
     wake: FlightTime,
     report: Report,
 }
@@ -77,6 +80,7 @@ impl BridgeProcess {
             heard: HashMap::new(),
             withheld: 0,
             untaken: 0,
+            unauthorised: 0,
             wake: FlightTime::ZERO,
             report: Report::waiting("opening a session"),
         }
@@ -198,6 +202,16 @@ impl BridgeProcess {
         }
     }
 
+    /// Tells whom the network refused, at most once a second: it is counted, whoever floods.
+    fn tell_refusals(&mut self) {
+        if self.is_due("refusals", 0, 1.0)
+            && let Some((times, last)) = refusals::take()
+        {
+            self.unauthorised += times;
+            tracing::warn!(times, last, "refused: his certificate does not let him");
+        }
+    }
+
     fn attend_link(&mut self) -> Option<&'static str> {
         self.link.advance(&self.config, &self.about);
         match &self.link {
@@ -243,7 +257,8 @@ impl Process for BridgeProcess {
         self.forward_health(ports);
         self.forward_all(ports);
         let refused = if let Link::Open(link) = &self.link { link.refused() } else { 0 };
-        self.report.dropped = refused + self.withheld + self.untaken;
+        self.tell_refusals();
+        self.report.dropped = refused + self.withheld + self.untaken + self.unauthorised;
         match waiting {
             Some(note) => self.report.degraded(note),
             None => self.report.worked(),

@@ -73,7 +73,7 @@ pub enum OperatorError {
     NoAnswer,
 }
 
-/// One who commands, by a name that nobody else has.
+/// One who commands, by a name that nobody else has; with certificates, the one in his own.
 #[derive(Debug)]
 pub struct Operator {
     watch: Watch,
@@ -151,7 +151,7 @@ impl Operator {
     }
 
     fn put(&self, vehicle: &str, command: &[u8]) -> Result<(), OperatorError> {
-        let put = self.watch.session.put(keys::key(vehicle, keys::COMMAND), command);
+        let put = self.watch.session.put(keys::key(vehicle, &keys::command(&self.name)), command);
         put.congestion_control(CongestionControl::Block)
             .wait()
             .map_err(|error| OperatorError::NotSent(error.to_string()))

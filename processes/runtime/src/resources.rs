@@ -3,7 +3,7 @@
 
 use ipc_types::bounds::Bounds;
 use rustix::mm::{MlockAllFlags, mlockall};
-use rustix::process::{Resource, Rlimit, setrlimit};
+use rustix::process::{Resource, Rlimit, setpriority_process, setrlimit};
 use rustix::thread::{CpuSet, sched_setaffinity};
 use serde::{Deserialize, Serialize};
 
@@ -15,6 +15,8 @@ pub struct Resources {
     pub cpus: Vec<u32>,
     /// Real-time priority (SCHED_FIFO), 1..50; 0 for none.
     pub realtime: u8,
+    /// How far others go before it where they want the same processor (nice), 0..19.
+    pub nice: u8,
     /// Whether its memory stays in memory.
     pub lock_memory: bool,
     /// Most private memory, MiB; 0 for no limit. What asks for more is refused it, and dies and is restarted.
@@ -26,6 +28,7 @@ impl Resources {
     pub fn check(&self, bounds: &mut Bounds) {
         self.cpus.iter().for_each(|&cpu| bounds.range("cpus", cpu, 0..=1023));
         bounds.range("realtime", self.realtime, 0..=50);
+        bounds.range("nice", self.nice, 0..=19);
         let is_sane = self.memory_mib == 0 || (64..=1 << 20).contains(&self.memory_mib);
         bounds.require(
             is_sane,
@@ -52,6 +55,11 @@ impl Resources {
             let result = set_realtime(self.realtime);
             let instead = "running at normal priority (needs CAP_SYS_NICE, or LimitRTPRIO= in the unit)";
             note(format!("real-time priority {}", self.realtime), result, instead);
+        }
+        if self.nice > 0 {
+            // Of the calling thread, and of those that it starts.
+            let result = setpriority_process(None, i32::from(self.nice)).map_err(|errno| errno.to_string());
+            note(format!("niceness {}", self.nice), result, "running at normal priority");
         }
         if self.memory_mib > 0 {
             let most = Some(self.memory_mib << 20);
@@ -85,22 +93,22 @@ mod tests {
 
     #[test]
     fn what_cannot_be_had_is_said_and_what_can_be_is_not() {
-        let nothing = Resources { cpus: Vec::new(), realtime: 0, lock_memory: false, memory_mib: 0 };
+        let nothing = Resources { cpus: Vec::new(), realtime: 0, nice: 0, lock_memory: false, memory_mib: 0 };
         assert!(nothing.apply().is_empty());
         // In a thread, whose affinity is its own.
         let absent = std::thread::spawn(|| {
-            let absent = Resources { cpus: vec![1000], realtime: 0, lock_memory: false, memory_mib: 0 };
+            let absent = Resources { cpus: vec![1000], realtime: 0, nice: 0, lock_memory: false, memory_mib: 0 };
             absent.apply()
         });
         let refused = absent.join().expect("no panic");
         assert!(refused.len() == 1 && refused[0].contains("running on all of them"), "{refused:?}");
         let first = std::thread::spawn(|| {
-            let first = Resources { cpus: vec![0], realtime: 0, lock_memory: false, memory_mib: 0 };
+            let first = Resources { cpus: vec![0], realtime: 0, nice: 0, lock_memory: false, memory_mib: 0 };
             (first.apply(), rustix::thread::sched_getaffinity(None).map(|set| set.count()))
         });
         assert_eq!(first.join().expect("no panic"), (Vec::new(), Ok(1)));
         let mut bounds = Bounds::default();
-        Resources { cpus: vec![5000], realtime: 99, lock_memory: false, memory_mib: 3 }.check(&mut bounds);
-        assert_eq!(bounds.into_violations().len(), 3);
+        Resources { cpus: vec![5000], realtime: 99, nice: 20, lock_memory: false, memory_mib: 3 }.check(&mut bounds);
+        assert_eq!(bounds.into_violations().len(), 4);
     }
 }
