@@ -190,7 +190,9 @@ fn take_packed(
 fn take_text(field: &'static str, content: &[u8], bytes: &mut [u8]) -> Result<(), DecodeError> {
     let (found, expected) = (content.len(), bytes.len());
     let place = bytes.get_mut(..found).ok_or(DecodeError::WrongLength { field, found, expected })?;
-    std::str::from_utf8(content).map_err(|_| DecodeError::NotText { field })?;
+    // One that ends before its end would have two meanings.
+    let is_text = std::str::from_utf8(content).is_ok() && !content.contains(&0);
+    is_text.then_some(()).ok_or(DecodeError::NotText { field })?;
     place.copy_from_slice(content);
     bytes[found..].fill(0);
     Ok(())

@@ -126,6 +126,11 @@ fn what_is_wrong_is_named() {
     assert!(refused(&[[2 << 3 | 2, 16].as_slice(), &[0; 16]].concat()).contains("2 values"));
     assert!(refused(&[4 << 3, 0xff, 0xff, 0xff, 0xff, 0xff, 1]).contains("does not fit u32"));
     assert!(refused(&[2 << 3 | 2, 24, 0]).contains("longer"));
+    // A text that ends before its end is another one for who stops there.
+    let command = TOPICS.iter().find(|topic| topic.name == "command").expect("a topic");
+    let with_zero = [&[7 << 3 | 2, 5][..], b"ann\0b"].concat();
+    let error = decode(command.header, command.element, 0, &with_zero).expect_err("refused").to_string();
+    assert!(error.contains("operator"), "{error}");
     // Arrays are of numbers: the encoding knows no others.
     let is_of_numbers =
         |kind: &Kind| !matches!(kind, &Kind::Array(&(Kind::Struct(_) | Kind::Array(..) | Kind::Text), _));

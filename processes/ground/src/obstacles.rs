@@ -49,6 +49,14 @@ impl ObstacleCells {
         distances_m.get(OUTLIERS).copied()
     }
 
+    /// Distance of the nearest cell in which something was seen so often, along the ground, m; as far as anything is kept, if
+    /// there is none nearer.
+    pub fn nearest_m(&self, place: Point<World>, sightings: u32) -> f64 {
+        let centre = |cell: i32| (f64::from(cell) + 0.5) * Self::SIDE_M;
+        let distances = self.seen(sightings).map(|[x, y]| (centre(x) - place.x).hypot(centre(y) - place.y));
+        distances.fold(NEAR_M, f64::min)
+    }
+
     /// Cells in which something was seen so often: their lower corners (east, north), in sides.
     pub fn seen(&self, sightings: u32) -> impl Iterator<Item = [i32; 2]> {
         self.0.iter().filter(move |(_, seen)| **seen >= sightings).map(|(cell, _)| *cell)
@@ -98,6 +106,11 @@ impl Obstacles {
                 }
             }
         }
+    }
+
+    /// Distance of the nearest thing that was seen, m, at most as far as anything is kept.
+    pub(crate) fn nearest_m(&self, place: Point<World>) -> f64 {
+        self.cells.nearest_m(place, SIGHTINGS)
     }
 
     /// Cells with something in them.

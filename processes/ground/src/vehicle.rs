@@ -38,8 +38,8 @@ pub(crate) struct Vehicle {
     processes: BTreeMap<ProcessId, (Instant, Health)>,
     images: HashMap<String, (Instant, Vec<u8>)>,
     path: VecDeque<[f64; 3]>,
-    /// Flight time (s), speed (m/s), allowed speed (m/s), exposure to command (ms).
-    strip: VecDeque<[f64; 4]>,
+    /// Flight time (s), speed (m/s), allowed speed (m/s), exposure to command (ms), nearest thing seen (m).
+    strip: VecDeque<[f64; 5]>,
     answers: VecDeque<Value>,
     obstacles: Obstacles,
     mount: CameraMount,
@@ -212,7 +212,8 @@ impl Vehicle {
             self.path.push_back(state.position_m);
         }
         let at_s = state.stamp.valid_ns as f64 * 1e-9;
-        self.strip.push_back([at_s, state.velocity().norm(), self.allowed_mps(), self.latency_ms]);
+        let nearest_m = self.obstacles.nearest_m(at);
+        self.strip.push_back([at_s, state.velocity().norm(), self.allowed_mps(), self.latency_ms, nearest_m]);
         let too_many = |length: usize, most: usize| length > most;
         if too_many(self.path.len(), MOST_PLACES) {
             self.path.pop_front();

@@ -15,6 +15,7 @@ mod config;
 mod file;
 mod files;
 mod inputs;
+mod lengths;
 mod player;
 mod process;
 mod read;

@@ -50,7 +50,14 @@ impl Log {
     /// # Errors
     /// It cannot be read, or is no MCAP file.
     pub fn open(path: &Path) -> Result<Self, LogError> {
-        let bytes = std::fs::read(path).map_err(LogError::io(path))?;
+        Self::of(std::fs::read(path).map_err(LogError::io(path))?)
+    }
+
+    /// A file's content.
+    ///
+    /// # Errors
+    /// It is that of no MCAP file.
+    pub fn of(bytes: Vec<u8>) -> Result<Self, LogError> {
         bytes.starts_with(mcap::MAGIC).then_some(Self { bytes }).ok_or(mcap::McapError::BadMagic.into())
     }
 

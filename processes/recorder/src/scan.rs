@@ -5,9 +5,11 @@
 //! its checksum and limits, and one that is damaged is left out and counted, so that those behind it are read.
 
 use crate::file::LogError;
+use crate::lengths;
 use mcap::records::{self, ChunkHeader, MessageHeader, Record, op};
 use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use mcap::{McapError, parse_record};
+use std::borrow::Cow;
 use std::collections::HashMap;
 
 /// Largest record in a chunk, and largest chunk, bytes: more than any that we write.
@@ -67,7 +69,7 @@ pub(crate) fn scan(bytes: &[u8], mut take: impl FnMut(Part<'_>) -> Result<(), Lo
         match opcode {
             op::CHUNK => damage.left_out += u64::from(!scan_chunk(&rest[..9 + body.len()], body, &mut take)?),
             op::ATTACHMENT => match attachment(body) {
-                Some((header, data)) => take(Part::Attachment(header, data))?,
+                Some((header, data)) => take(Part::Attachment(header, &data))?,
                 None => damage.left_out += 1,
             },
             // Behind it only the index follows, which repeats what was read.
@@ -97,6 +99,9 @@ fn hand_on(opcode: u8, body: &[u8], take: &mut impl FnMut(Part<'_>) -> Result<()
     if !matches!(opcode, op::SCHEMA | op::CHANNEL | op::MESSAGE | op::METADATA) {
         return Ok(true);
     }
+    if !lengths::are_possible(opcode, body) {
+        return Ok(false);
+    }
     match parse_record(opcode, body) {
         Ok(Record::Schema { header, data }) => take(Part::Schema(header, &data))?,
         Ok(Record::Channel(channel)) => take(Part::Channel(channel))?,
@@ -114,6 +119,9 @@ fn scan_chunk(
     body: &[u8],
     take: &mut impl FnMut(Part<'_>) -> Result<(), LogError>,
 ) -> Result<bool, LogError> {
+    if !lengths::are_possible(op::CHUNK, body) {
+        return Ok(false);
+    }
     let Ok(Record::Chunk { header: ChunkHeader { uncompressed_size, .. }, .. }) = parse_record(op::CHUNK, body) else {
         return Ok(false);
     };
@@ -148,19 +156,12 @@ fn scan_chunk(
 }
 
 /// An attachment, if its lengths are possible and its checksum right.
-fn attachment(body: &[u8]) -> Option<(records::AttachmentHeader, &[u8])> {
-    // Two times, two texts, the data, each with its length, and a checksum: the crate relies on there being room for them.
-    let mut rest = body.get(16..)?;
-    for _ in 0..2 {
-        let (length, behind) = rest.split_first_chunk::<4>()?;
-        rest = behind.get(u32::from_le_bytes(*length) as usize..)?;
+fn attachment(body: &[u8]) -> Option<(records::AttachmentHeader, Cow<'_, [u8]>)> {
+    if !lengths::are_possible(op::ATTACHMENT, body) {
+        return None;
     }
-    let (length, behind) = rest.split_first_chunk::<8>()?;
-    let length = usize::try_from(u64::from_le_bytes(*length)).ok()?;
-    let data = behind.get(..length)?;
-    behind.get(length..)?.first_chunk::<4>()?;
     match parse_record(op::ATTACHMENT, body) {
-        Ok(Record::Attachment { header, .. }) => Some((header, data)),
+        Ok(Record::Attachment { header, data, .. }) => Some((header, data)),
         _ => None,
     }
 }
