@@ -6,7 +6,7 @@ use ipc_types::messages::{Command, Order, Waypoint};
 use ipc_types::topics::Commands;
 use ipc_types::wire::Text;
 use std::sync::Mutex;
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant};
 use zenoh::Wait;
 use zenoh::qos::CongestionControl;
 
@@ -82,8 +82,8 @@ pub struct Operator {
 }
 
 impl Operator {
-    /// Numbers are times, so that those of one who begins anew, or of another program of the same operator, are larger than
-    /// those before.
+    /// Numbers are flight times, so that those of one who begins anew, or of another program of the same operator, are larger
+    /// than those before, whatever clocks on the ground say.
     pub fn new(watch: Watch, name: &str) -> Self {
         Self { watch, name: name.to_owned(), number: Mutex::new(0) }
     }
@@ -97,9 +97,9 @@ impl Operator {
         asked.check()?;
         // From drawing a number to sending it, so that they are sent in their order.
         let mut last = self.number.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
-        let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-        *last = (*last + 1).max(since.as_millis() as u64);
-        let command = self.command(order, asked, *last)?;
+        let now_ns = self.flight_ns(&asked.vehicle)?;
+        *last = (*last + 1).max(now_ns.max(0) as u64);
+        let command = self.command(order, asked, *last, now_ns);
         self.put(&asked.vehicle, &command)?;
         let number = *last;
         drop(last);
@@ -125,17 +125,26 @@ impl Operator {
     /// # Errors
     /// It was not heard, or the network did not take it.
     pub fn tell_present(&self, vehicle: &str) -> Result<(), OperatorError> {
-        let vehicle = vehicle.to_owned();
-        let asked = Asked { vehicle, order: String::new(), places_m: Vec::new(), speed_mps: 0.0, valid_s: 2.0 };
+        let asked = Asked {
+            vehicle: vehicle.to_owned(),
+            order: String::new(),
+            places_m: Vec::new(),
+            speed_mps: 0.0,
+            valid_s: 2.0,
+        };
         // It has no number: when it comes does not matter.
-        let present = self.command(Order::Present, &asked, 0)?;
+        let present = self.command(Order::Present, &asked, 0, self.flight_ns(vehicle)?);
         self.put(&asked.vehicle, &present)
     }
 
+    /// The vehicle's flight time, ns, as far as it was heard.
+    fn flight_ns(&self, vehicle: &str) -> Result<i64, OperatorError> {
+        let now_ns = self.watch.vehicles().get(vehicle).and_then(crate::vehicle::Vehicle::flight_ns);
+        now_ns.ok_or_else(|| OperatorError::NotHeard(vehicle.to_owned()))
+    }
+
     /// A command, encoded.
-    fn command(&self, order: Order, asked: &Asked, number: u64) -> Result<Vec<u8>, OperatorError> {
-        let now_ns = self.watch.vehicles().get(&asked.vehicle).and_then(crate::vehicle::Vehicle::flight_ns);
-        let now_ns = now_ns.ok_or_else(|| OperatorError::NotHeard(asked.vehicle.clone()))?;
+    fn command(&self, order: Order, asked: &Asked, number: u64, now_ns: i64) -> Vec<u8> {
         let command = Command {
             number,
             expires_ns: now_ns + (asked.valid_s * 1e9) as i64,
@@ -147,7 +156,7 @@ impl Operator {
         let places: Vec<_> = asked.places_m.iter().map(|&position_m| Waypoint { position_m }).collect();
         let mut bytes = Vec::new();
         encoding::encode_message::<Commands>(&command, &places, &mut bytes);
-        Ok(bytes)
+        bytes
     }
 
     fn put(&self, vehicle: &str, command: &[u8]) -> Result<(), OperatorError> {
