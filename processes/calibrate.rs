@@ -2,7 +2,7 @@
 
 use crate::config::VehicleConfig;
 use crate::noise_plot::plot;
-use crate::say::tell;
+use crate::say::{say, tell};
 use clap::Args;
 use indicatif::ProgressBar;
 use ipc_types::StereoRig;
@@ -243,12 +243,12 @@ fn find_boards(
             let found = finder.find(image, width, height).map_err(|error| format!("{}: {error}", path.display()))?;
             if found.is_none() {
                 progress.suspend(|| {
-                    eprintln!(
+                    say(format_args!(
                         "{}: no whole board of {} x {} corners, left out",
                         path.display(),
                         board.columns,
                         board.rows
-                    )
+                    ));
                 });
             }
             Ok(found)

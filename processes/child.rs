@@ -3,6 +3,7 @@
 use crate::config::FlightConfig;
 use crate::crash;
 use crate::graph;
+use crate::log_compare::open;
 use crate::log_replay::reruns;
 use crate::logging;
 use crate::replay_input::{self, DEFAULT_RATE_HZ};
@@ -101,8 +102,10 @@ pub fn run(arguments: &ChildArguments) -> Result<(), Box<dyn Error>> {
         ProcessId::Simulator => drive(SimulatorProcess::threaded(graph::simulator(&config)?), &run, rig, options)?,
         ProcessId::Player if !arguments.play_log.is_empty() => {
             let feed = if arguments.play_disparity { Feed::Disparity } else { Feed::Frames };
-            let inputs = Inputs::read(&arguments.play_log, &(arguments.from..=arguments.until), feed)?;
-            let player = LogPlayer::new(inputs.inputs, arguments.pace, reruns(feed).to_vec());
+            let inputs = Inputs::of(&open(&arguments.play_log)?, &(arguments.from..=arguments.until), feed)?;
+            // The recorder, too: what it does not hear is not compared.
+            let awaited = reruns(feed).iter().copied().chain([ProcessId::Recorder]).collect();
+            let player = LogPlayer::new(inputs.inputs, arguments.pace, awaited);
             drive(player, &run, rig, options)?;
         }
         ProcessId::Player => {

@@ -116,8 +116,12 @@ pub fn simulator(config: &FlightConfig) -> Result<SimulatorSetup, WorldError> {
 /// The bridge of a configuration, for a run whose files are in that folder.
 pub(crate) fn bridge(config: &FlightConfig, folder: &Path) -> BridgeProcess {
     let messages: Vec<_> = TOPICS.iter().map(|topic| (topic.header, topic.element)).collect();
-    let about =
-        About { schema: encoding::descriptor_set(&messages), config: config.snapshot(), folder: folder.to_owned() };
+    let about = About {
+        schema: encoding::descriptor_set(&messages),
+        config: config.snapshot(),
+        folder: folder.to_owned(),
+        status: Arc::default(),
+    };
     let VehicleConfig { rig, mount, .. } = config.vehicle;
     let most_px = match reach(&config.vehicle) {
         Reach::Matched { most_px } => most_px,

@@ -33,7 +33,7 @@ pub(crate) struct GroundArguments {
     /// Certificates (PEM): of the authority, one's own, its key.
     #[arg(long, value_name = "FILE", num_args = 3)]
     tls: Option<Vec<PathBuf>>,
-    /// Where the page is served. Beyond this machine, whoever reaches it may command.
+    /// Where the page is served. Beyond this machine it is only to look at.
     #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:8080")]
     page: SocketAddr,
     /// What this operator is called: as in the certificate, or like this machine, if not given; no two at a time may be called the
@@ -79,7 +79,7 @@ impl GroundArguments {
         };
         let certified = self.tls().map(|tls| tls.own_name()).transpose()?;
         let name = self.operator.clone().or(certified).unwrap_or_else(host);
-        let expected = "expected 1 to 32 letters, digits, - or _";
+        let expected = "expected 1 to 32 letters, digits, - or _: give --operator, or a certificate with such a name";
         keys::is_name(&name).then_some(()).ok_or_else(|| format!("the operator is \"{name}\", {expected}"))?;
         Ok(name)
     }
@@ -88,7 +88,9 @@ impl GroundArguments {
 pub(crate) fn ground(arguments: &GroundArguments) -> Result<ExitCode, Box<dyn Error>> {
     let stop = Arc::new(AtomicBool::new(false));
     crate::cli::stop_on_signals(&stop)?;
-    let operator = arguments.operator()?;
+    // Who only looks needs no name.
+    let looks = arguments.text || arguments.json;
+    let operator = if looks { String::new() } else { arguments.operator()? };
     let connect = if arguments.listen.is_empty() { &arguments.connect[..] } else { &[] };
     say(format_args!("looking for vehicles at {:?}", connect.iter().chain(&arguments.listen).collect::<Vec<_>>()));
     let patience = arguments.order.as_ref().map_or(Duration::MAX, |_| PATIENCE);
@@ -229,6 +231,17 @@ fn table(views: &[VehicleView]) -> Result<String, std::fmt::Error> {
             "flight {:.1} s  {}  at {at}  {:.1} m/s  ladder: {} {}",
             view.flight_s, view.mode, view.speed_mps, view.rung, view.rung_reason
         )?;
+        let mission = &view.mission;
+        let (passed, places) = (mission["passed"].as_u64(), mission["elements"].as_array().map(Vec::len));
+        if let (Some(passed), Some(places)) = (passed, places) {
+            let commander = mission["commander"].as_str().filter(|name| !name.is_empty()).unwrap_or("nobody");
+            let limit_mps = mission["speed_mps"].as_f64().unwrap_or_default() * view.speed_share;
+            writeln!(
+                out,
+                "mission: {passed} of {places} places passed, at most {limit_mps:.1} m/s; commander: {commander}; exposure to command {:.0} ms",
+                view.latency_ms
+            )?;
+        }
         for alarm in &view.alarms {
             writeln!(out, "  !! {alarm}")?;
         }

@@ -3,12 +3,15 @@
 //! Messages are told apart by who published them and for when they are valid, so that one that is missing does not make all
 //! behind it others.
 
-use ipc_types::topics::{HealthReports, State, TOPICS, Topic};
+use ipc_types::messages::FlightClock;
+use ipc_types::topics::{Clock, HealthReports, State, TOPICS, Topic};
 use ipc_types::wire::Stamp;
 use ipc_types::{FlightTime, ProcessId};
 use recorder::{Entry, Log, LogError};
+use serde::Serialize;
 use std::collections::{BTreeMap, HashMap};
 use std::ops::RangeInclusive;
+use std::path::PathBuf;
 use xxhash_rust::xxh3::xxh3_128;
 
 /// What of two logs is compared.
@@ -23,7 +26,7 @@ pub(crate) struct Scope {
 }
 
 /// What became of a topic.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub(crate) struct Comparison {
     /// Messages then.
     pub(crate) then: usize,
@@ -119,17 +122,37 @@ fn is_in(scope: &Scope, stamp: &Stamp) -> bool {
     (is_by || scope.producers.is_empty()) && scope.range_s.contains(&published_s)
 }
 
-/// When the last state was published that the log holds, s: all topics are complete until then.
-pub(crate) fn last_state_s(log: &Log) -> Result<f64, LogError> {
-    let state = State::INFO.name;
-    let mut last_s = f64::NEG_INFINITY;
-    log.entries(
-        |name| name == state,
-        |entry| {
-            if let Entry::Record(record) = entry {
-                last_s = last_s.max(FlightTime::from_nanos(record.stamp().published_ns).as_secs_f64());
-            }
-        },
-    )?;
-    Ok(last_s)
+/// Opens the files of a recording.
+pub(crate) fn open(paths: &[PathBuf]) -> Result<Vec<Log>, String> {
+    let open = |path: &PathBuf| Log::open(path).map_err(|error| format!("{}: {error}", path.display()));
+    paths.iter().map(open).collect()
+}
+
+/// What of a recording is known before it is replayed.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Known {
+    /// When the last state was published, s: all topics are complete until then.
+    pub(crate) last_state_s: f64,
+    /// Whether it was flown in lockstep, which knows no time of the host's.
+    pub(crate) in_lockstep: bool,
+}
+
+/// Looks through a recording.
+pub(crate) fn look_through(logs: &[Log]) -> Result<Known, LogError> {
+    let mut known = Known { last_state_s: f64::NEG_INFINITY, in_lockstep: true };
+    for log in logs {
+        log.entries(
+            |name| [State::INFO.name, Clock::INFO.name].contains(&name),
+            |entry| {
+                let Entry::Record(record) = entry else { return };
+                if let Some(clock) = record.header::<FlightClock>() {
+                    known.in_lockstep &= clock.host_ns == 0;
+                } else {
+                    let published_s = FlightTime::from_nanos(record.stamp().published_ns).as_secs_f64();
+                    known.last_state_s = known.last_state_s.max(published_s);
+                }
+            },
+        )?;
+    }
+    Ok(known)
 }

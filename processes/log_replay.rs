@@ -7,21 +7,25 @@ use crate::config::FlightConfig;
 use crate::flight_run::command;
 use crate::graph;
 use crate::graph_config::Member;
-use crate::log_compare::{Scope, compare, last_state_s};
+use crate::log_compare::{Comparison, Scope, compare, look_through, open};
 use crate::run_files::{CONFIG, RunFiles, VERSION, fresh_name};
 use crate::say::{say, tell};
 use clap::{Args, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
 use ipc_types::topics::{Clock, HealthReports};
 use ipc_types::{FlightTime, ProcessId};
-use recorder::{ALL_PLAYED, Feed, Inputs, Log, LogPlayer, RecorderProcess};
+use recorder::{ALL_PLAYED, Feed, Input, Inputs, Log, LogPlayer, RecorderProcess};
 use runtime::ipc::{IpcPorts, Services};
 use runtime::run_dir::RunDir;
 use runtime::{Connect, Message, Ports};
+use serde::Serialize;
+use std::collections::BTreeMap;
 use std::error::Error;
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 use supervisor::{ATTENTION, ChildCommand, Happening, SignalWatch, Supervision};
 
@@ -65,6 +69,19 @@ enum Pace {
     Fast,
 }
 
+impl LogArguments {
+    /// The first of its options that was given, if any: they are for logs alone.
+    pub(crate) fn given(&self) -> Option<&'static str> {
+        let given = [
+            (self.pace != Pace::Times(1.0), "--pace"),
+            (self.from > 0.0, "--from"),
+            (self.until.is_some(), "--until"),
+            (self.feed != FeedName::Frames, "--feed"),
+        ];
+        given.into_iter().find(|(is_given, _)| *is_given).map(|(_, name)| name)
+    }
+}
+
 fn parse_pace(text: &str) -> Result<Pace, String> {
     let times = || text.parse().ok().filter(|times| (0.05..=20.0).contains(times)).map(Pace::Times);
     let pace = if text == "fast" { Some(Pace::Fast) } else { times() };
@@ -83,6 +100,7 @@ pub(crate) struct Told<'a> {
     pub(crate) record_images: bool,
     pub(crate) run: Option<&'a str>,
     pub(crate) run_dir: &'a Path,
+    pub(crate) summary: Option<&'a Path>,
 }
 
 /// After the last input, so that what follows from it is made, flight time.
@@ -94,29 +112,50 @@ const PATIENCE: Duration = Duration::from_secs(60);
 struct Recording<'a> {
     paths: &'a [PathBuf],
     arguments: &'a LogArguments,
-    inputs: Inputs,
+    images: usize,
+    /// Whether it was flown in lockstep.
+    in_lockstep: bool,
     /// Compared until then, s: all topics of the recording are complete until the last state.
     range_s: RangeInclusive<f64>,
 }
 
+/// What came of a replay.
+#[derive(Debug, Serialize)]
+struct ReplaySummary {
+    from_s: f64,
+    until_s: f64,
+    images: usize,
+    topics: BTreeMap<&'static str, Comparison>,
+}
+
 /// Exit status 0 only if, as fast as possible, the same came of it.
-pub(crate) fn replay(paths: &[PathBuf], arguments: &LogArguments, told: Told<'_>) -> Result<ExitCode, Box<dyn Error>> {
+pub(crate) fn replay(given: &[PathBuf], arguments: &LogArguments, told: Told<'_>) -> Result<ExitCode, Box<dyn Error>> {
+    let paths = if let [first] = given { Log::parts(first) } else { given.to_vec() };
     let mut config = configuration(&paths[0], told.config)?;
     config.record_images = told.record_images;
-    let recording = Recording::read(paths, arguments, &config)?;
-    let signals = SignalWatch::begin()?;
+    let (recording, inputs) = Recording::read(&paths, arguments, &config)?;
     let name = told.run.map_or_else(fresh_name, str::to_owned);
     let run = RunDir::named(&name)?;
     let lock = run.take()?;
-    let files = RunFiles::create(told.run_dir, &name, &config, None)?;
+    let files = RunFiles::create(told.run_dir, &name, &config, told.summary)?;
     match arguments.pace {
-        Pace::Fast => recording.in_lockstep(&config, &files)?,
-        Pace::Times(pace) => recording.over_processes(&config, &run, &files, pace, signals)?,
+        Pace::Fast => recording.in_lockstep(&config, &files, inputs)?,
+        Pace::Times(pace) => {
+            // Its player reads them itself.
+            drop(inputs);
+            recording.over_processes(&config, &run, &files, pace, SignalWatch::begin()?)?;
+        }
     }
     drop(lock);
-    let same = recording.tell(&files.log())?;
+    let topics = recording.compare(&files.log())?;
+    let (from_s, until_s) = recording.range_s.clone().into_inner();
+    tell!("replayed           {} images of {from_s:.1} to {until_s:.1} s", recording.images);
+    topics.iter().for_each(|(topic, comparison)| tell!("{topic:<18}{comparison}"));
+    let others = topics.values().filter(|comparison| !comparison.is_same()).count();
+    tell!("{others} topics differ");
     tell!("run directory      {}", files.folder().display());
-    Ok(if same || arguments.pace != Pace::Fast { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+    files.write_summary(&ReplaySummary { from_s, until_s, images: recording.images, topics })?;
+    Ok(if others == 0 || arguments.pace != Pace::Fast { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
 /// The configuration that was flown, or another one for the same camera.
@@ -127,7 +166,8 @@ fn configuration(log: &Path, other: Option<&Path>) -> Result<FlightConfig, Box<d
     let flown = FlightConfig::parse_snapshot(&format!("{path}: {CONFIG}"), &attached)?;
     let Some(other) = other else {
         flown.check()?;
-        return Ok(flown);
+        // What was injected then is in what was seen already; what processes did to themselves is not to happen again.
+        return Ok(FlightConfig { faults: Vec::new(), ..flown });
     };
     let mut config = FlightConfig::load(Some(other), None)?;
     (config.seed, config.noise_camera) = (flown.seed, flown.noise_camera);
@@ -140,10 +180,15 @@ fn configuration(log: &Path, other: Option<&Path>) -> Result<FlightConfig, Box<d
 }
 
 impl<'a> Recording<'a> {
-    fn read(paths: &'a [PathBuf], arguments: &'a LogArguments, config: &FlightConfig) -> Result<Self, Box<dyn Error>> {
-        let path = paths[0].display();
+    fn read(
+        paths: &'a [PathBuf],
+        arguments: &'a LogArguments,
+        config: &FlightConfig,
+    ) -> Result<(Self, Vec<Input>), Box<dyn Error>> {
+        let (path, logs) = (paths[0].display(), open(paths)?);
         let wanted_s = arguments.from..=arguments.until.unwrap_or(f64::INFINITY);
-        let inputs = Inputs::read(paths, &wanted_s, arguments.feed.into())?;
+        let of_file = |error| format!("{path}: {error}");
+        let inputs = Inputs::of(&logs, &wanted_s, arguments.feed.into()).map_err(of_file)?;
         for (path, reading) in paths.iter().zip(&inputs.readings) {
             if !reading.damage.is_none() || reading.no_messages > 0 {
                 let (damage, no_messages) = (&reading.damage, reading.no_messages);
@@ -155,7 +200,8 @@ impl<'a> Recording<'a> {
             let (found, topic) = (other.elements.len() / 2, other.topic);
             return Err(format!("{path}: an image of {topic} has {found} px, the camera {}", pixels / 2).into());
         }
-        if inputs.images() == 0 {
+        let images = inputs.images();
+        if images == 0 {
             let advice = "record with --record-images, or look at --from and --until";
             let (incomplete, feed) = (inputs.incomplete, arguments.feed);
             return Err(format!("{path}: no {feed:?} to replay ({incomplete} without pixels): {advice}").into());
@@ -163,31 +209,30 @@ impl<'a> Recording<'a> {
         if inputs.incomplete > 0 {
             say(format_args!("{path}: {} images lack pixels, and are left out", inputs.incomplete));
         }
-        let mut last_s = f64::NEG_INFINITY;
-        for path in paths {
-            last_s = last_s.max(last_state_s(&Log::open(path)?)?);
-        }
-        let range_s = arguments.from..=last_s.min(*wanted_s.end());
-        Ok(Self { paths, arguments, inputs, range_s })
+        let known = look_through(&logs).map_err(of_file)?;
+        let range_s = arguments.from..=known.last_state_s.min(*wanted_s.end());
+        Ok((Self { paths, arguments, images, in_lockstep: known.in_lockstep, range_s }, inputs.inputs))
     }
 
     fn feed(&self) -> Feed {
         self.arguments.feed.into()
     }
 
-    fn in_lockstep(&self, config: &FlightConfig, files: &RunFiles) -> Result<(), Box<dyn Error>> {
+    fn in_lockstep(&self, config: &FlightConfig, files: &RunFiles, inputs: Vec<Input>) -> Result<(), Box<dyn Error>> {
+        let stop = Arc::new(AtomicBool::new(false));
+        crate::cli::stop_on_signals(&stop)?;
         let snapshot = config.snapshot();
         let attachments = [(CONFIG, snapshot.as_str()), ("version.txt", VERSION)];
         let recorder = RecorderProcess::create(&files.log(), &graph::recording(config, &attachments))?;
-        let player = LogPlayer::new(self.inputs.inputs.clone(), 1.0, Vec::new());
+        let player = LogPlayer::new(inputs, 1.0, Vec::new());
         let until = FlightTime::from_secs_f64(*self.range_s.end()) + LINGERS;
         let bar = bar(&self.range_s);
         graph::rerun(config, player, recorder, self.feed(), |now| {
             bar.set_position(now.as_nanos().max(0) as u64 / 1_000_000);
-            now >= until
+            now >= until || stop.load(Ordering::Relaxed)
         });
         bar.finish_and_clear();
-        Ok(())
+        if stop.load(Ordering::Relaxed) { Err("interrupted".into()) } else { Ok(()) }
     }
 
     /// Over processes and shared memory, as it was flown.
@@ -271,20 +316,12 @@ impl<'a> Recording<'a> {
         Ok(commands)
     }
 
-    /// Prints what is the same and what is not, topic by topic; whether all is the same.
-    fn tell(&self, made: &Path) -> Result<bool, Box<dyn Error>> {
-        let is_whole = self.arguments.pace == Pace::Fast && self.arguments.from == 0.0;
-        let scope = Scope { producers: reruns(self.feed()).to_vec(), range_s: self.range_s.clone(), times: is_whole };
-        let then = self.paths.iter().map(|path| Log::open(path)).collect::<Result<Vec<_>, _>>()?;
-        let topics = compare(&then, &[Log::open(made)?], &scope)?;
-        let images = self.inputs.images();
-        tell!("replayed           {images} images of {:.1} to {:.1} s", self.range_s.start(), self.range_s.end());
-        for (topic, comparison) in &topics {
-            tell!("{topic:<18}{comparison}");
-        }
-        let others = topics.values().filter(|comparison| !comparison.is_same()).count();
-        tell!("{others} topics differ");
-        Ok(others == 0)
+    /// What is the same and what is not, topic by topic.
+    fn compare(&self, made: &Path) -> Result<BTreeMap<&'static str, Comparison>, Box<dyn Error>> {
+        // Instants and counts are the same only from the beginning, and where no host's time is in them.
+        let times = self.arguments.pace == Pace::Fast && self.arguments.from == 0.0 && self.in_lockstep;
+        let scope = Scope { producers: reruns(self.feed()).to_vec(), range_s: self.range_s.clone(), times };
+        Ok(compare(&open(self.paths)?, &open(&Log::parts(made))?, &scope)?)
     }
 }
 

@@ -10,10 +10,14 @@ use bridge::RefusalLayer;
 use ipc_types::ProcessId;
 use std::fs::OpenOptions;
 use std::path::Path;
+use std::sync::Mutex;
+use std::sync::PoisonError;
+use std::time::Instant;
 use tracing::span::EnteredSpan;
+use tracing::{Level, Metadata};
 use tracing_appender::non_blocking::WorkerGuard;
 use tracing_subscriber::Layer as _;
-use tracing_subscriber::filter::{LevelFilter, filter_fn};
+use tracing_subscriber::filter::{dynamic_filter_fn, filter_fn};
 use tracing_subscriber::layer::SubscriberExt as _;
 
 /// A log under way; ends, written out, when dropped.
@@ -38,11 +42,26 @@ pub(crate) fn begin(folder: &Path, run: &str, process: ProcessId, incarnation: u
         // It would complain on standard error, which may be on the same full disk.
         .log_internal_errors(false)
         .with_writer(writer)
-        .with_filter(LevelFilter::INFO);
+        .with_filter(dynamic_filter_fn(|event, _| *event.level() <= Level::INFO && !is_too_much(event)));
     let refusals = RefusalLayer.with_filter(filter_fn(RefusalLayer::hears));
     let subscriber = tracing_subscriber::registry().with(lines).with(refusals);
     // Another flight of this very process has begun one already: a test's, say.
     let _ = tracing::subscriber::set_global_default(subscriber);
     let span = tracing::info_span!("process", run, process = process.name(), incarnation).entered();
     Some(Log { _span: span, _worker: worker })
+}
+
+/// Lines a second of the network's, at most: whoever can reach it could fill the disk.
+const MOST_LINES_S: u32 = 10;
+
+/// Whether an event is one of the network's, and one of too many within a second.
+fn is_too_much(event: &Metadata<'_>) -> bool {
+    static SECOND: Mutex<Option<(Instant, u32)>> = Mutex::new(None);
+    if !event.is_event() || !event.target().starts_with("zenoh") {
+        return false;
+    }
+    let mut second = SECOND.lock().unwrap_or_else(PoisonError::into_inner);
+    let (began, lines) = second.filter(|(began, _)| began.elapsed().as_secs() < 1).unwrap_or((Instant::now(), 0));
+    *second = Some((began, lines + 1));
+    lines >= MOST_LINES_S
 }

@@ -2,7 +2,7 @@
 
 use crate::config::FlightConfig;
 use crate::graph::{self, Flight};
-use crate::log_compare::{Scope, compare};
+use crate::log_compare::{Scope, compare, open};
 use crate::run_files::{CONFIG, VERSION};
 use crate::say::tell;
 use clap::Args;
@@ -14,7 +14,7 @@ use std::process::ExitCode;
 /// What to fly again.
 #[derive(Debug, Args)]
 pub(crate) struct ReflyArguments {
-    /// The log (MCAP) of a flight in lockstep: its configuration and seed are attached to it.
+    /// The log (MCAP) of a flight in lockstep, the first part if there are several: its configuration and seed are attached to it.
     log: PathBuf,
     /// Where the new log goes; beside the old one, `again.mcap`, if not given.
     #[arg(long, value_name = "FILE")]
@@ -23,18 +23,20 @@ pub(crate) struct ReflyArguments {
 
 /// Exit status 0 only if every message of every topic is the same to the bit.
 pub(crate) fn refly(arguments: &ReflyArguments) -> Result<ExitCode, Box<dyn Error>> {
-    let path = arguments.log.display();
-    let log = Log::open(&arguments.log).map_err(|error| format!("{path}: {error}"))?;
-    let attached = log.attachment(CONFIG).map_err(|error| format!("{path}: {error}"))?;
+    let (path, logs) = (arguments.log.display(), open(&Log::parts(&arguments.log))?);
+    let attached = logs[0].attachment(CONFIG).map_err(|error| format!("{path}: {error}"))?;
     let attached = attached.ok_or_else(|| format!("{path}: it has no {CONFIG} attached: is it a log of ours?"))?;
     let config = FlightConfig::parse_snapshot(&format!("{path}: {CONFIG}"), &attached)?;
     let out = arguments.out.clone().unwrap_or_else(|| arguments.log.with_file_name("again.mcap"));
+    if out.exists() {
+        return Err(format!("{}: exists already: choose another with --out, or remove it", out.display()).into());
+    }
     let snapshot = config.snapshot();
     let attachments = [(CONFIG, snapshot.as_str()), ("version.txt", VERSION)];
     let recorder = RecorderProcess::create(&out, &graph::recording(&config, &attachments))?;
     Flight::new(&config, Some(recorder))?.fly(|_| true);
     let scope = Scope { producers: Vec::new(), range_s: f64::NEG_INFINITY..=f64::INFINITY, times: true };
-    let topics = compare(&[log], &[Log::open(&out)?], &scope).map_err(|error| format!("{path}: {error}"))?;
+    let topics = compare(&logs, &open(&Log::parts(&out))?, &scope).map_err(|error| format!("{path}: {error}"))?;
     topics.iter().for_each(|(topic, comparison)| tell!("{topic:<18}{comparison}"));
     let differences = topics.values().filter(|comparison| !comparison.is_same()).count();
     tell!("{}: {differences} topics differ", out.display());

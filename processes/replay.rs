@@ -84,6 +84,18 @@ pub(crate) struct ReplayArguments {
     run_dir: PathBuf,
 }
 
+impl ReplayArguments {
+    /// The first of the options that was given, if any, of those that are for images alone.
+    fn given_for_images(&self) -> Option<&'static str> {
+        let given = [
+            (self.hole.is_some(), "--hole"),
+            (self.ground_truth.is_some(), "--ground-truth"),
+            (self.out.is_some(), "--out"),
+        ];
+        given.into_iter().find(|(is_given, _)| *is_given).map(|(_, name)| name).or(self.input.given_for_images())
+    }
+}
+
 /// Name and operating-system number of a process.
 pub(crate) type ProcessNumber = (String, Option<u32>);
 
@@ -105,9 +117,16 @@ const PATIENCE: Duration = Duration::from_secs(60);
 
 pub(crate) fn replay(arguments: &ReplayArguments) -> Result<ExitCode, Box<dyn Error>> {
     if let Some(logs) = arguments.input.logs()? {
-        let (config, run) = (arguments.config.as_deref(), arguments.run.as_deref());
-        let told = Told { config, record_images: arguments.record_images, run, run_dir: &arguments.run_dir };
+        if let Some(name) = arguments.given_for_images() {
+            return Err(format!("{name} is for images; a log has its own").into());
+        }
+        let ReplayArguments { config, record_images, run, run_dir, summary, .. } = arguments;
+        let (config, run, summary) = (config.as_deref(), run.as_deref(), summary.as_deref());
+        let told = Told { config, record_images: *record_images, run, run_dir, summary };
         return log_replay::replay(logs, &arguments.log, told);
+    }
+    if let Some(name) = arguments.log.given() {
+        return Err(format!("{name} is for logs (MCAP), and these are images").into());
     }
     let mut config = FlightConfig::load(arguments.config.as_deref(), None)?;
     let input = arguments.input.apply(&mut config, arguments.config.is_some())?;

@@ -132,6 +132,22 @@ impl InputArguments {
         }
     }
 
+    /// The first of the options that was given, if any, of those that are for images alone.
+    pub(crate) fn given_for_images(&self) -> Option<&'static str> {
+        let given = [
+            (self.source.is_some(), "--source"),
+            (self.rate.is_some(), "--rate"),
+            (self.pixel_format.is_some(), "--pixel-format"),
+            (self.max_disparity.is_some(), "--max-disparity"),
+            (self.calib.is_some(), "--calib"),
+            (self.focal.is_some(), "--focal"),
+            (self.size.is_some(), "--size"),
+            (self.sigma_px.is_some(), "--sigma-px"),
+            (self.sigma_m.is_some(), "--sigma-m"),
+        ];
+        given.into_iter().find(|(is_given, _)| *is_given).map(|(_, name)| name)
+    }
+
     /// Finds the images, and puts their meaning and geometry into the vehicle. `own_vehicle`: whether the configuration is
     /// the user's, so that its rig may stand for theirs.
     pub(crate) fn apply(&self, config: &mut FlightConfig, own_vehicle: bool) -> Result<Input, Box<dyn Error>> {

@@ -1,7 +1,7 @@
 //! `sparrowhawk stereo`: one pair of images to disparity, on files.
 
 use crate::picture::save_disparity_picture;
-use crate::say::tell;
+use crate::say::{say, tell};
 use clap::{Args, ValueEnum};
 use ipc_types::StereoRig;
 use ipc_types::bounds::Bounds;
@@ -105,7 +105,7 @@ pub(crate) fn stereo(arguments: &StereoArguments) -> Result<ExitCode, Box<dyn Er
     let (rig, rectifier) = match &calibration {
         Some(calibration) => calibration.rectify()?,
         None => {
-            eprintln!("no calibration given: the images are taken as rectified");
+            say(format_args!("no calibration given: the images are taken as rectified"));
             (unknown_rig(size), None)
         }
     };
@@ -130,7 +130,7 @@ pub(crate) fn stereo(arguments: &StereoArguments) -> Result<ExitCode, Box<dyn Er
             let problem = PairFault::Swapped.note();
             return Err(format!("{left}, {right}: {problem}; to match them nevertheless, give --force").into());
         }
-        Some(fault) => eprintln!("WARNING: {}", fault.note()),
+        Some(fault) => say(format_args!("WARNING: {}", fault.note())),
         None => {}
     }
     let mut matcher = Matcher::new(&rig, config);

@@ -281,5 +281,8 @@ fn who_has_no_certificate_sees_nothing_and_an_observer_commands_nothing() {
     for expected in ["command/bob", "command/carl", "did not match any configured ACL subject", "certificate"] {
         assert!(events.contains(expected), "{expected} is not in {events}");
     }
+    for refused in events.lines().filter(|line| line.contains("his certificate does not let him")) {
+        assert!(refused.contains("command/bob") || refused.contains("command/carl"), "{refused}");
+    }
     run.assert_nothing_left();
 }

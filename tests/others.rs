@@ -3,7 +3,7 @@
 
 mod common;
 
-use common::{Run, free_endpoint, real_time};
+use common::{Run, free_endpoint, real_time, skipped};
 use serde_json::Value;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::path::Path;
@@ -13,7 +13,7 @@ use std::process::{Child, Command, Output, Stdio};
 fn script(name: &str, imports: &str) -> Option<Command> {
     let imported = Command::new("python3").args(["-c", &format!("import {imports}")]).output();
     if !imported.is_ok_and(|output| output.status.success()) {
-        eprintln!("SKIPPED: Python has no {imports}; pip install -r tests/python/requirements.txt");
+        skipped(&format!("Python has no {imports}; pip install -r tests/python/requirements.txt"));
         return None;
     }
     let mut command = Command::new("python3");
@@ -68,7 +68,7 @@ fn ground(run: &Run, endpoint: &str, address: &str) -> Child {
 fn the_page_in_a_browser_sees_and_commands() {
     let Some(mut page) = script("page.py", "playwright") else { return };
     if !Path::new("/usr/bin/chromium").exists() && std::env::var_os("CHROMIUM").is_none() {
-        eprintln!("SKIPPED: no /usr/bin/chromium; set CHROMIUM");
+        skipped("no /usr/bin/chromium; set CHROMIUM");
         return;
     }
     let _alone = real_time();

@@ -22,7 +22,7 @@ pub struct BridgeConfig {
     pub pilots: Vec<String>,
     /// Names in the certificates of those who may look.
     pub observers: Vec<String>,
-    /// Most that is sent, kbit/s.
+    /// Most that is sent, to each who is connected, kbit/s.
     pub budget_kbit_s: u32,
     /// How often.
     pub rates: RatesConfig,
@@ -101,6 +101,8 @@ impl BridgeConfig {
         for pilot in &self.pilots {
             let message = format_args!("is \"{pilot}\", expected 1 to 32 letters, digits, - or _").to_string();
             bounds.require(keys::is_name(pilot), "pilots", message);
+            let message = format_args!("has \"{pilot}\" as well, who is a pilot and may look anyway").to_string();
+            bounds.require(!self.observers.contains(pilot), "observers", message);
         }
         let names_needed = self.tls.is_none() || !self.pilots.is_empty();
         bounds.require(names_needed, "pilots", "is empty: with certificates, it names those who may command");

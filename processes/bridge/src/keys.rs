@@ -25,5 +25,7 @@ pub fn command(operator: &str) -> String {
 pub const SCHEMA: &str = "schema";
 /// The configuration, to be queried.
 pub const CONFIG: &str = "config";
+/// The processes' last heartbeats, to be queried.
+pub const STATUS: &str = "status";
 /// The files of the run, to be queried.
 pub const LOGS: &str = "logs";

@@ -7,7 +7,7 @@
 //!                      /view/<view>           what viewers show (Foxglove's protobuf): obstacles
 //!                      /image/left, /image/disparity   previews (JPEG)
 //!                      /command/<operator>    commands (protobuf: sparrowhawk.Command) of the operator whom they name
-//!                      /schema, /config, /logs    to be queried: FileDescriptorSet, RON, JSON
+//!                      /schema, /config, /status, /logs    to be queried: FileDescriptorSet, RON, JSON, JSON
 //! ```
 //!
 //! The flight never waits for the network: this process only reads, with buffers whose oldest messages give way, never blocks

@@ -112,6 +112,14 @@ impl OpenLink {
             let config = about.config.clone().into_bytes();
             move || config.clone()
         })?;
+        answer(&session, key(vehicle, keys::STATUS), Encoding::APPLICATION_JSON, {
+            let status = Arc::clone(&about.status);
+            move || {
+                let status = status.lock().unwrap_or_else(PoisonError::into_inner);
+                let named: Vec<_> = status.iter().map(|(process, health)| (process.name(), health)).collect();
+                serde_json::json!(named.into_iter().collect::<HashMap<_, _>>()).to_string().into_bytes()
+            }
+        })?;
         answer(&session, key(vehicle, keys::LOGS), Encoding::APPLICATION_JSON, {
             let folder = about.folder.clone();
             move || files(&folder)

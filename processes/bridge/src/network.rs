@@ -107,9 +107,10 @@ fn access_control(roles: &BridgeConfig) -> Value {
     let mut everybody: Vec<_> = roles.pilots.iter().map(own).collect();
     let mut subjects: Vec<_> =
         roles.pilots.iter().map(|pilot| subject(&own(pilot), std::slice::from_ref(pilot))).collect();
-    if !roles.observers.is_empty() {
-        subjects.push(subject("observers", &roles.observers));
-        everybody.push("observers".to_owned());
+    for observer in &roles.observers {
+        let id = format!("observer {observer}");
+        subjects.push(subject(&id, std::slice::from_ref(observer)));
+        everybody.push(id);
     }
     let mut rules = vec![
         rule("look", &look, "ingress", &any),

@@ -15,9 +15,11 @@ use ipc_types::topics::{
 use ipc_types::wire::Header;
 use ipc_types::{FlightTime, HostTime, ProcessId, StereoRig};
 use runtime::{Connect, Message, Ports, Process, Report, host_now};
+use serde_json::Value;
 use std::any::Any;
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::path::PathBuf;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 use zenoh::bytes::Encoding;
 
@@ -39,6 +41,8 @@ pub struct About {
     pub config: String,
     /// Where its files are.
     pub folder: PathBuf,
+    /// The last heartbeat of each process, as JSON.
+    pub status: Arc<Mutex<BTreeMap<ProcessId, Value>>>,
 }
 
 /// Connects a run to a network.
@@ -55,6 +59,8 @@ pub struct BridgeProcess {
     next: HashMap<(&'static str, u32), HostTime>,
     /// When processes were heard last.
     heard: HashMap<ProcessId, HostTime>,
+    /// Incarnation and level of processes, as they were told last.
+    told: HashMap<ProcessId, (u32, u32)>,
     /// Not sent for want of budget.
     withheld: u64,
     /// Not taken by the network.
@@ -78,6 +84,7 @@ impl BridgeProcess {
             most_disparity_px,
             next: HashMap::new(),
             heard: HashMap::new(),
+            told: HashMap::new(),
             withheld: 0,
             untaken: 0,
             unauthorised: 0,
@@ -189,7 +196,14 @@ impl BridgeProcess {
             let health = *message.header();
             let Some(process) = ProcessId::from_wire(health.stamp.producer) else { continue };
             self.heard.insert(process, host_now());
-            if self.is_due(HealthReports::INFO.name, health.stamp.producer, self.config.rates.health_hz) {
+            // A restart, or another level, is told at once.
+            let now = (health.stamp.incarnation, health.level);
+            let is_news = self.told.insert(process, now) != Some(now);
+            let is_due = self.is_due(HealthReports::INFO.name, health.stamp.producer, self.config.rates.health_hz);
+            if is_due || is_news {
+                let kinds = (HealthReports::INFO.header, HealthReports::INFO.element);
+                let status = encoding::to_json(kinds.0, bytemuck::bytes_of(&health), kinds.1, &[]);
+                self.about.status.lock().unwrap_or_else(PoisonError::into_inner).insert(process, status);
                 let mut bytes = Vec::new();
                 encoding::encode_message::<HealthReports>(&health, &[], &mut bytes);
                 self.send("topic/health", bytes, Encoding::APPLICATION_PROTOBUF, Class::Vital);

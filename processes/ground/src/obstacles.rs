@@ -5,6 +5,7 @@ use ipc_types::pose_history::{PoseAt, PoseHistory};
 use ipc_types::rig::CameraMount;
 use ipc_types::{Body, Camera, FlightTime, Point, Pose, World};
 use std::collections::{HashMap, VecDeque};
+use std::time::{Duration, Instant};
 
 /// Points that lie so far above or below the vehicle count, m.
 const BAND_M: f64 = 1.0;
@@ -20,6 +21,8 @@ const SIGHTINGS: u32 = 2;
 const MOST_CELLS: usize = 50_000;
 /// Poses remembered: at 10 Hz more than a slow link is late.
 const POSES: usize = 200;
+/// Without clouds for longer, nobody knows what is near.
+const FRESH: Duration = Duration::from_secs(2);
 /// Clouds that wait for the pose they were seen from.
 const MOST_WAITING: usize = 8;
 
@@ -69,11 +72,13 @@ pub(crate) struct Obstacles {
     poses: PoseHistory,
     waiting: VecDeque<(FlightTime, Vec<Point<Camera>>)>,
     cells: ObstacleCells,
+    /// When the last cloud came.
+    heard: Option<Instant>,
 }
 
 impl Obstacles {
     pub(crate) fn new() -> Self {
-        Self { poses: PoseHistory::new(POSES), waiting: VecDeque::new(), cells: ObstacleCells::default() }
+        Self { poses: PoseHistory::new(POSES), waiting: VecDeque::new(), cells: ObstacleCells::default(), heard: None }
     }
 
     pub(crate) fn take_state(&mut self, state: &VehicleState, mount: &CameraMount) {
@@ -87,7 +92,10 @@ impl Obstacles {
 
     /// Whether the bytes were a cloud.
     pub(crate) fn take_cloud(&mut self, bytes: &[u8], mount: &CameraMount) -> bool {
-        encoding::points(bytes).map(|(at, points)| self.place(at, points, mount)).is_some()
+        let Some((at, points)) = encoding::points(bytes) else { return false };
+        self.heard = Some(Instant::now());
+        self.place(at, points, mount);
+        true
     }
 
     fn place(&mut self, at: FlightTime, points: Vec<Point<Camera>>, mount: &CameraMount) {
@@ -108,9 +116,10 @@ impl Obstacles {
         }
     }
 
-    /// Distance of the nearest thing that was seen, m, at most as far as anything is kept.
-    pub(crate) fn nearest_m(&self, place: Point<World>) -> f64 {
-        self.cells.nearest_m(place, SIGHTINGS)
+    /// Distance of the nearest thing that was seen, m, at most as far as anything is kept; `None` while nothing is looked at.
+    pub(crate) fn nearest_m(&self, place: Point<World>) -> Option<f64> {
+        let is_fresh = self.heard.is_some_and(|heard| heard.elapsed() < FRESH);
+        is_fresh.then(|| self.cells.nearest_m(place, SIGHTINGS))
     }
 
     /// Cells with something in them.

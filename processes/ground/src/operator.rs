@@ -5,6 +5,7 @@ use bridge::keys;
 use ipc_types::messages::{Command, Order, Waypoint};
 use ipc_types::topics::Commands;
 use ipc_types::wire::Text;
+use std::collections::HashMap;
 use std::sync::Mutex;
 use std::time::{Duration, Instant};
 use zenoh::Wait;
@@ -14,6 +15,9 @@ use zenoh::qos::CongestionControl;
 const AGAIN: Duration = Duration::from_millis(300);
 /// Between two looks for an answer.
 const LOOK: Duration = Duration::from_millis(20);
+
+/// Flight time that lies so far behind the last number is another flight's, ns.
+const ANOTHER_FLIGHT_NS: u64 = 5_000_000_000;
 
 /// What is asked of a vehicle.
 #[derive(Clone, Debug, PartialEq, serde::Deserialize)]
@@ -78,14 +82,15 @@ pub enum OperatorError {
 pub struct Operator {
     watch: Watch,
     name: String,
-    number: Mutex<u64>,
+    /// The last number by vehicle.
+    numbers: Mutex<HashMap<String, u64>>,
 }
 
 impl Operator {
     /// Numbers are flight times, so that those of one who begins anew, or of another program of the same operator, are larger
     /// than those before, whatever clocks on the ground say.
     pub fn new(watch: Watch, name: &str) -> Self {
-        Self { watch, name: name.to_owned(), number: Mutex::new(0) }
+        Self { watch, name: name.to_owned(), numbers: Mutex::default() }
     }
 
     /// Sends a command and waits for what becomes of it.
@@ -96,13 +101,13 @@ impl Operator {
         let order = Order::from_name(&asked.order).ok_or_else(|| OperatorError::NoOrder(asked.order.clone()))?;
         asked.check()?;
         // From drawing a number to sending it, so that they are sent in their order.
-        let mut last = self.number.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        let mut numbers = self.numbers.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
         let now_ns = self.flight_ns(&asked.vehicle)?;
-        *last = (*last + 1).max(now_ns.max(0) as u64);
-        let command = self.command(order, asked, *last, now_ns);
+        let number = next_number(numbers.get(&asked.vehicle).copied(), now_ns.max(0) as u64);
+        numbers.insert(asked.vehicle.clone(), number);
+        let command = self.command(order, asked, number, now_ns);
         self.put(&asked.vehicle, &command)?;
-        let number = *last;
-        drop(last);
+        drop(numbers);
         let (begun, mut sent) = (Instant::now(), Instant::now());
         while begun.elapsed().as_secs_f64() < asked.valid_s + 1.0 {
             let answer = self.watch.vehicles().get(&asked.vehicle).and_then(|v| v.answer(&self.name, number));
@@ -118,6 +123,11 @@ impl Operator {
             }
         }
         Err(OperatorError::NoAnswer)
+    }
+
+    /// Whether a vehicle has accepted a command of this operator.
+    pub fn commands(&self, vehicle: &str) -> bool {
+        self.watch.vehicles().get(vehicle).is_some_and(|vehicle| vehicle.has_accepted(&self.name))
     }
 
     /// Tells a vehicle that the operator is there.
@@ -164,5 +174,24 @@ impl Operator {
         put.congestion_control(CongestionControl::Block)
             .wait()
             .map_err(|error| OperatorError::NotSent(error.to_string()))
+    }
+}
+
+/// A number that is larger than the last one of the same flight: the flight time. In a flight that has begun since, it is small
+/// again.
+fn next_number(last: Option<u64>, now_ns: u64) -> u64 {
+    last.filter(|&last| last < now_ns + ANOTHER_FLIGHT_NS).map_or(now_ns, |last| now_ns.max(last + 1))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_grow_within_a_flight_and_begin_anew_with_the_next() {
+        assert_eq!(next_number(None, 3_000), 3_000);
+        assert_eq!(next_number(Some(3_000), 3_000), 3_001);
+        assert_eq!(next_number(Some(3_001), 2_000_000_000), 2_000_000_000);
+        assert_eq!(next_number(Some(900_000_000_000), 5_000_000_000), 5_000_000_000);
     }
 }

@@ -39,7 +39,7 @@ pub(crate) struct Vehicle {
     images: HashMap<String, (Instant, Vec<u8>)>,
     path: VecDeque<[f64; 3]>,
     /// Flight time (s), speed (m/s), allowed speed (m/s), exposure to command (ms), nearest thing seen (m).
-    strip: VecDeque<[f64; 5]>,
+    strip: VecDeque<[Option<f64>; 5]>,
     answers: VecDeque<Value>,
     obstacles: Obstacles,
     mount: CameraMount,
@@ -213,7 +213,8 @@ impl Vehicle {
         }
         let at_s = state.stamp.valid_ns as f64 * 1e-9;
         let nearest_m = self.obstacles.nearest_m(at);
-        self.strip.push_back([at_s, state.velocity().norm(), self.allowed_mps(), self.latency_ms, nearest_m]);
+        let known = [at_s, state.velocity().norm(), self.allowed_mps(), self.latency_ms].map(Some);
+        self.strip.push_back([known[0], known[1], known[2], known[3], nearest_m]);
         let too_many = |length: usize, most: usize| length > most;
         if too_many(self.path.len(), MOST_PLACES) {
             self.path.pop_front();
@@ -246,6 +247,11 @@ impl Vehicle {
         let answer = self.answers.iter().rev().find(is_it)?;
         let reason = answer["reason"].as_str().unwrap_or_default().to_owned();
         Some((answer["accepted"].as_u64() == Some(1), reason))
+    }
+
+    /// Whether it has accepted a command of that operator.
+    pub(crate) fn has_accepted(&self, operator: &str) -> bool {
+        self.answers.iter().any(|answer| answer["operator"] == operator && answer["accepted"].as_u64() == Some(1))
     }
 
     /// What is drawn: path, plan, keyframes, obstacles, strips, answers.
@@ -311,6 +317,9 @@ impl Vehicle {
         let mut alarms = Vec::new();
         if !view.connected {
             alarms.push(format!("NOT HEARD for {:.0} s: everything shown is old", view.age_s));
+        }
+        if view.piloted {
+            alarms.push("A PILOT FLIES: what would move the vehicle is rejected until he hands back".to_owned());
         }
         if rung >= Rung::Hover {
             alarms.push(format!("{}: {}", rung.name().to_uppercase(), view.rung_reason));

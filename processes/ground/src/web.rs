@@ -1,6 +1,6 @@
 //! The page: served on this machine, unless told otherwise.
 
-use crate::{Asked, Operator, Watch};
+use crate::{Asked, Operator, VehicleView, Watch};
 use axum::Router;
 use axum::extract::{Path, State};
 use axum::http::{HeaderMap, StatusCode, header};
@@ -71,7 +71,8 @@ async fn stay_present(ground: Arc<Ground>) {
     let mut each_second = tokio::time::interval(Duration::from_secs(1));
     loop {
         each_second.tick().await;
-        for vehicle in ground.watch.views().iter().filter(|vehicle| vehicle.connected) {
+        let commanded = |vehicle: &&VehicleView| vehicle.connected && ground.operator.commands(&vehicle.name);
+        for vehicle in ground.watch.views().iter().filter(commanded) {
             // Who is not heard cannot be told.
             let _ = ground.operator.tell_present(&vehicle.name);
         }
@@ -105,15 +106,15 @@ fn is_own(headers: &HeaderMap, address: SocketAddr) -> bool {
     let host = text(header::HOST);
     let origin = text(header::ORIGIN).and_then(|origin| origin.strip_prefix("http://"));
     let is_known = |name: &str| own.iter().any(|own| own == name);
-    // Served to others, it is called by whatever name they have for this machine: then both must agree.
-    match address.ip().is_unspecified() {
-        true => headers.get(header::ORIGIN).is_none() || origin.is_some() && origin == host,
-        false => host.is_some_and(is_known) && (headers.get(header::ORIGIN).is_none() || origin.is_some_and(is_known)),
-    }
+    host.is_some_and(is_known) && (headers.get(header::ORIGIN).is_none() || origin.is_some_and(is_known))
 }
 
 /// Asks a vehicle, and tells what became of it.
 async fn command(State(ground): State<Arc<Ground>>, headers: HeaderMap, body: String) -> Response {
+    if !ground.address.get().is_some_and(|address| address.ip().is_loopback()) {
+        // Whoever reaches it would command by the operator's name and certificate.
+        return (StatusCode::FORBIDDEN, "this page is served beyond its machine: only to look at").into_response();
+    }
     if !ground.address.get().is_some_and(|address| is_own(&headers, *address)) {
         return (StatusCode::FORBIDDEN, "from another page").into_response();
     }

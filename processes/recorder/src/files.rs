@@ -74,7 +74,7 @@ impl Files {
         }
         let path = match self.count {
             0 => self.first.clone(),
-            before => self.first.with_extension(format!("part{}.mcap", before + 1)),
+            before => part(&self.first, before + 1),
         };
         self.file = Ok(LogFile::create(&path, &self.attachments, self.images)?);
         (self.path, self.begun, self.count, self.noted) = (path, host_now(), self.count + 1, 0);
@@ -147,6 +147,11 @@ impl Files {
         // The log is readable without its end; there is nobody left to tell.
         let _ = self.file.as_mut().map(|file| file.note_lost(metadata(lost)).and_then(|()| file.finish()));
     }
+}
+
+/// The file of a recording that is called by its first: the second, and so on.
+pub(crate) fn part(first: &Path, number: u32) -> PathBuf {
+    first.with_extension(format!("part{number}.mcap"))
 }
 
 fn metadata(lost: &BTreeMap<String, u64>) -> BTreeMap<String, String> {

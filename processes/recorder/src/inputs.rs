@@ -13,7 +13,6 @@ use ipc_types::topics::{Answers, DepthFrames, Disparity, Goals, State, StereoFra
 use ipc_types::wire::Stamp;
 use prost::Message;
 use std::ops::RangeInclusive;
-use std::path::{Path, PathBuf};
 
 /// What of a recorded flight the graph is fed with.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -65,15 +64,14 @@ struct Gathered {
 }
 
 impl Inputs {
-    /// Reads what was published in a range of flight time, s, from the files of a recording in their order.
+    /// Takes what was published in a range of flight time, s, from the files of a recording in their order.
     ///
     /// # Errors
-    /// A file cannot be read, is no MCAP file, or was written by another version.
-    pub fn read(paths: &[PathBuf], range_s: &RangeInclusive<f64>, feed: Feed) -> Result<Self, InputsError> {
+    /// Another version wrote one of them.
+    pub fn of(logs: &[Log], range_s: &RangeInclusive<f64>, feed: Feed) -> Result<Self, LogError> {
         let (mut gathered, mut readings) = (Gathered::default(), Vec::new());
-        for path in paths {
-            let reading = gathered.read(path, range_s, feed);
-            readings.push(reading.map_err(|source| InputsError { path: path.display().to_string(), source })?);
+        for log in logs {
+            readings.push(gathered.read(log, range_s, feed)?);
             gathered.give_up();
         }
         let Gathered { mut inputs, incomplete, .. } = gathered;
@@ -107,17 +105,9 @@ fn is_wanted(channel: &str, feed: Feed) -> bool {
     images || PLAIN.contains(&channel)
 }
 
-/// A log cannot be read.
-#[derive(Debug, thiserror::Error)]
-#[error("{path}: {source}")]
-pub struct InputsError {
-    path: String,
-    source: LogError,
-}
-
 impl Gathered {
-    fn read(&mut self, path: &Path, range_s: &RangeInclusive<f64>, feed: Feed) -> Result<Reading, LogError> {
-        Log::open(path)?.entries(
+    fn read(&mut self, log: &Log, range_s: &RangeInclusive<f64>, feed: Feed) -> Result<Reading, LogError> {
+        log.entries(
             |channel| is_wanted(channel, feed),
             |entry| match entry {
                 Entry::Record(record) => self.take(record, range_s),

@@ -24,7 +24,7 @@ mod scan;
 
 pub use config::RecorderConfig;
 pub use file::LogError;
-pub use inputs::{Feed, Input, Inputs, InputsError};
+pub use inputs::{Feed, Input, Inputs};
 pub use player::{ALL_PLAYED, LogPlayer};
 pub use process::{RecorderProcess, Recording};
 pub use read::{Entry, Log, Reading, Record};

@@ -1,13 +1,14 @@
 //! Logs, read again: also of a flight that is under way, or of one whose recorder was killed.
 
 use crate::file::{LAYOUT, LogError, VERSION, layout};
+use crate::files::part;
 use crate::scan::{Channels, Damage, Part, scan};
 use encoding::View;
 use ipc_types::topics::{TOPICS, TopicInfo};
 use ipc_types::wire::Stamp;
 use mcap::records::Channel;
 use serde_json::Value;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// A log file in memory.
 #[derive(Debug)]
@@ -51,6 +52,12 @@ impl Log {
     /// It cannot be read, or is no MCAP file.
     pub fn open(path: &Path) -> Result<Self, LogError> {
         Self::of(std::fs::read(path).map_err(LogError::io(path))?)
+    }
+
+    /// A file and the parts that follow it, as far as there are any: a recording.
+    pub fn parts(path: &Path) -> Vec<PathBuf> {
+        let following = (2..).map(|number| part(path, number)).take_while(|path| path.exists());
+        std::iter::once(path.to_owned()).chain(following).collect()
     }
 
     /// A file's content.
