@@ -255,6 +255,17 @@ fn a_large_recording_is_in_parts_and_another_versions_is_refused() {
         assert!(read.expect("readable").damage.is_none(), "{} is whole", path.display());
     }
     assert!(sequences.windows(2).all(|pair| pair[1] == pair[0] + 1), "nothing is lost between them");
+    // All parts are played, and what is made of them may be in parts, too.
+    let log = run.log().display().to_string();
+    let output = run.command(&["replay", &log, "--pace", "fast", "--record-images"]).output().expect("starts");
+    let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    let number = |line: &str| {
+        said.lines()
+            .find(|said| said.starts_with(line))
+            .and_then(|line| line.split_whitespace().find_map(|word| word.parse::<usize>().ok()))
+    };
+    let images = number("replayed").unwrap_or_else(|| panic!("{output:?}"));
+    assert!(images >= 60 && number("disparity_image") > Some(images - 10), "{said}");
     // A log whose messages were others.
     let log = Log::open(&run.log()).expect("a log");
     assert!(log.attachment("config.ron").expect("readable").is_some_and(|text| text.contains("file_mib: 1,")));
