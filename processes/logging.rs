@@ -10,10 +10,10 @@ use bridge::RefusalLayer;
 use ipc_types::ProcessId;
 use std::fs::OpenOptions;
 use std::path::Path;
-use std::sync::Mutex;
-use std::sync::PoisonError;
+use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 use tracing::span::EnteredSpan;
+use tracing::subscriber::Interest;
 use tracing::{Level, Metadata};
 use tracing_appender::non_blocking::WorkerGuard;
 use tracing_subscriber::Layer as _;
@@ -42,7 +42,12 @@ pub(crate) fn begin(folder: &Path, run: &str, process: ProcessId, incarnation: u
         // It would complain on standard error, which may be on the same full disk.
         .log_internal_errors(false)
         .with_writer(writer)
-        .with_filter(dynamic_filter_fn(|event, _| *event.level() <= Level::INFO && !is_too_much(event)));
+        .with_filter(
+            dynamic_filter_fn(|event, _| *event.level() <= Level::INFO && !is_too_much(event)).with_callsite_filter(
+                // What is never written is not asked about again.
+                |event| if *event.level() <= Level::INFO { Interest::sometimes() } else { Interest::never() },
+            ),
+        );
     let refusals = RefusalLayer.with_filter(filter_fn(RefusalLayer::hears));
     let subscriber = tracing_subscriber::registry().with(lines).with(refusals);
     // Another flight of this very process has begun one already: a test's, say.
