@@ -125,9 +125,9 @@ impl Operator {
         Err(OperatorError::NoAnswer)
     }
 
-    /// Whether a vehicle has accepted a command of this operator.
+    /// Whether a vehicle says that this operator commands it.
     pub fn commands(&self, vehicle: &str) -> bool {
-        self.watch.vehicles().get(vehicle).is_some_and(|vehicle| vehicle.has_accepted(&self.name))
+        self.watch.vehicles().get(vehicle).is_some_and(|vehicle| vehicle.is_commanded_by(&self.name))
     }
 
     /// Tells a vehicle that the operator is there.

@@ -249,9 +249,9 @@ impl Vehicle {
         Some((answer["accepted"].as_u64() == Some(1), reason))
     }
 
-    /// Whether it has accepted a command of that operator.
-    pub(crate) fn has_accepted(&self, operator: &str) -> bool {
-        self.answers.iter().any(|answer| answer["operator"] == operator && answer["accepted"].as_u64() == Some(1))
+    /// Whether that operator commands it, as it says itself: also when he began anew since.
+    pub(crate) fn is_commanded_by(&self, operator: &str) -> bool {
+        self.field("mission", "commander").is_some_and(|commander| commander == operator)
     }
 
     /// What is drawn: path, plan, keyframes, obstacles, strips, answers.
