@@ -2,7 +2,7 @@
 //!
 //! Every process appends to the same file in the run directory, by a thread of its own: no step waits for a disk. A line is
 //! written whole, so lines of different processes do not mix. When the disk is full, or so slow that a hundred thousand lines wait,
-//! the flight goes on without them.
+//! the flight goes on without them. Of the network's own lines ten a second are written; whom it refuses, the bridge is told.
 
 use crate::run_files::EVENTS;
 use crate::say::say;
