@@ -3,7 +3,7 @@
 use crate::config::FlightConfig;
 use crate::crash;
 use crate::graph;
-use crate::log_compare::open;
+use crate::log_files::open_logs;
 use crate::log_replay::reruns;
 use crate::logging;
 use crate::replay_input::{self, DEFAULT_RATE_HZ};
@@ -53,9 +53,9 @@ pub struct ChildArguments {
     /// Of that, disparity instead of frames.
     #[arg(long)]
     play_disparity: bool,
-    /// How fast, of flight time per time.
+    /// Flight time per time.
     #[arg(long, default_value_t = 1.0)]
-    pace: f64,
+    playback_rate: f64,
     /// From that flight time on, s ...
     #[arg(long, default_value_t = 0.0)]
     from: f64,
@@ -102,10 +102,10 @@ pub fn run(arguments: &ChildArguments) -> Result<(), Box<dyn Error>> {
         ProcessId::Simulator => drive(SimulatorProcess::threaded(graph::simulator(&config)?), &run, rig, options)?,
         ProcessId::Player if !arguments.play_log.is_empty() => {
             let feed = if arguments.play_disparity { Feed::Disparity } else { Feed::Frames };
-            let inputs = Inputs::of(&open(&arguments.play_log)?, &(arguments.from..=arguments.until), feed)?;
+            let inputs = Inputs::of(&open_logs(&arguments.play_log)?, &(arguments.from..=arguments.until), feed)?;
             // The recorder, too: what it does not hear is not compared.
             let awaited = reruns(feed).iter().copied().chain([ProcessId::Recorder]).collect();
-            let player = LogPlayer::new(inputs.inputs, arguments.pace, awaited);
+            let player = LogPlayer::new(inputs.inputs, arguments.playback_rate, awaited);
             drive(player, &run, rig, options)?;
         }
         ProcessId::Player => {

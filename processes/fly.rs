@@ -8,12 +8,11 @@ use crate::flight_report::report;
 use crate::flight_run;
 use crate::graph::{self, Flight};
 use crate::numbers::parse_numbers;
-use crate::run_files::{CONFIG, RunFiles, VERSION, fresh_name};
+use crate::run_files::{CONFIG, RunFiles, fresh_name};
 use crate::run_record::RunRecord;
 use crate::say::{say, tell};
 use crate::troubles::TroubleArguments;
 use clap::Args;
-use recorder::RecorderProcess;
 use runtime::run_dir::{RunDir, RunLock};
 use simulator::Piloted;
 use std::error::Error;
@@ -191,9 +190,7 @@ fn conclude(lock: RunLock, files: &RunFiles, summary: &Summary) -> Result<ExitCo
 fn fly_in_lockstep(config: &FlightConfig, files: &RunFiles, draw: &[f64]) -> Result<Summary, Box<dyn Error>> {
     let stop = std::sync::Arc::new(std::sync::atomic::AtomicBool::new(false));
     crate::cli::stop_on_signals(&stop)?;
-    let snapshot = config.snapshot();
-    let attachments = [(CONFIG, snapshot.as_str()), ("version.txt", VERSION)];
-    let recorder = RecorderProcess::create(&files.log(), &graph::recording(config, &attachments))?;
+    let recorder = graph::begin_recording(config, &files.log())?;
     let mut display = Display::new(config.mission.goal());
     let mut flight = Flight::new(config, Some(recorder))?;
     let mut pictures = Pictures::new(config, flight.scene(), draw, files.folder());

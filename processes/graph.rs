@@ -1,6 +1,7 @@
 //! From configuration to processes.
 
 use crate::config::{FlightConfig, VehicleConfig};
+use crate::run_files::{CONFIG, VERSION};
 use bridge::{About, BridgeProcess};
 use controller::ControllerProcess;
 use expansion::{ExpansionProcess, Reach};
@@ -8,7 +9,7 @@ use ipc_types::topics::TOPICS;
 use ipc_types::{FlightTime, ProcessId};
 use memory::{MapModel, MemoryProcess};
 use planner::{PlannerProcess, TakeOff};
-use recorder::{Feed, LogPlayer, RecorderProcess, Recording};
+use recorder::{Feed, LogError, LogPlayer, RecorderProcess, Recording};
 use runtime::lockstep::Lockstep;
 use simulator::{SimulatorProcess, SimulatorSetup, World, WorldError};
 use std::cell::RefCell;
@@ -134,6 +135,15 @@ pub(crate) fn bridge(config: &FlightConfig, folder: &Path) -> BridgeProcess {
 pub(crate) fn recording<'a>(config: &FlightConfig, attachments: &'a [(&'a str, &'a str)]) -> Recording<'a> {
     let (rig, mount) = (config.vehicle.rig, config.vehicle.mount);
     Recording { attachments, images: config.record_images, rig, mount, config: config.graph.recorder }
+}
+
+/// Begins to record a flight to a file.
+///
+/// # Errors
+/// The file cannot be created.
+pub(crate) fn begin_recording(config: &FlightConfig, path: &Path) -> Result<RecorderProcess, LogError> {
+    let snapshot = config.snapshot();
+    RecorderProcess::create(path, &recording(config, &[(CONFIG, snapshot.as_str()), ("version.txt", VERSION)]))
 }
 
 /// What of a flight in lockstep may be looked at between two steps.

@@ -60,6 +60,12 @@ impl GraphConfig {
         self.processes.iter().filter(move |member| !flies(member.process)).cloned()
     }
 
+    /// A process that stands for the world: where it cannot go on, the run ends.
+    pub(crate) fn in_place_of_the_world(&self, process: ProcessId) -> Option<Member> {
+        let world = self.processes.iter().find(|member| member.process == ProcessId::Simulator);
+        world.map(|world| Member { process, ..world.clone() })
+    }
+
     /// The processes of a flight.
     pub(crate) fn flying(&self) -> impl Iterator<Item = &Member> {
         self.processes.iter().filter(|member| member.process != ProcessId::Bridge || self.bridge.is_on())

@@ -116,8 +116,8 @@ pub(crate) fn ground(arguments: &GroundArguments) -> Result<ExitCode, Box<dyn Er
         let views = watch.views();
         // Whoever read this may have gone: then there is nobody left to tell.
         let told = match (arguments.json, arguments.text) {
-            (true, _) => views.iter().try_for_each(|view| tell(&serde_json::to_string(view).unwrap_or_default())),
-            (_, true) => tell(&format!("\x1b[H\x1b[2J{}", table(&views)?)),
+            (true, _) => views.iter().try_for_each(|view| write_line(&serde_json::to_string(view).unwrap_or_default())),
+            (_, true) => write_line(&format!("\x1b[H\x1b[2J{}", table(&views)?)),
             _ => Ok(()),
         };
         if told.is_err() {
@@ -153,7 +153,7 @@ fn joined(
     Ok(Some(watch))
 }
 
-fn tell(text: &str) -> std::io::Result<()> {
+fn write_line(text: &str) -> std::io::Result<()> {
     let mut out = std::io::stdout().lock();
     writeln!(out, "{text}").and_then(|()| out.flush())
 }
@@ -204,11 +204,11 @@ fn ask(
     let asked = Asked { vehicle, order, places_m, speed_mps, valid_s };
     let code = match operator.ask(&asked) {
         Ok(()) => {
-            tell(&format!("{}: {}: accepted", asked.vehicle, asked.order))?;
+            write_line(&format!("{}: {}: accepted", asked.vehicle, asked.order))?;
             0
         }
         Err(error @ (OperatorError::Rejected(_) | OperatorError::NoAnswer)) => {
-            tell(&format!("{}: {}: {error}", asked.vehicle, asked.order))?;
+            write_line(&format!("{}: {}: {error}", asked.vehicle, asked.order))?;
             1
         }
         Err(error) => return Err(error.into()),

@@ -39,6 +39,7 @@ pub mod graph_config;
 mod ground_station;
 mod inject;
 mod log_compare;
+mod log_files;
 mod log_replay;
 mod logging;
 mod map;

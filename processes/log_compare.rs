@@ -11,7 +11,6 @@ use recorder::{Entry, Log, LogError};
 use serde::Serialize;
 use std::collections::{BTreeMap, HashMap};
 use std::ops::RangeInclusive;
-use std::path::PathBuf;
 use xxhash_rust::xxh3::xxh3_128;
 
 /// What of two logs is compared.
@@ -120,12 +119,6 @@ fn is_in(scope: &Scope, stamp: &Stamp) -> bool {
     let is_by = scope.producers.iter().any(|&process| process as u32 == stamp.producer);
     let published_s = FlightTime::from_nanos(stamp.published_ns).as_secs_f64();
     (is_by || scope.producers.is_empty()) && scope.range_s.contains(&published_s)
-}
-
-/// Opens the files of a recording.
-pub(crate) fn open(paths: &[PathBuf]) -> Result<Vec<Log>, String> {
-    let open = |path: &PathBuf| Log::open(path).map_err(|error| format!("{}: {error}", path.display()));
-    paths.iter().map(open).collect()
 }
 
 /// What of a recording is known before it is replayed.

@@ -6,15 +6,15 @@
 use crate::config::FlightConfig;
 use crate::flight_run::command;
 use crate::graph;
-use crate::graph_config::Member;
-use crate::log_compare::{Comparison, Scope, compare, look_through, open};
-use crate::run_files::{CONFIG, RunFiles, VERSION, fresh_name};
+use crate::log_compare::{Comparison, Scope, compare, look_through};
+use crate::log_files::{attached_config, open_logs};
+use crate::run_files::{CONFIG, RunFiles, fresh_name};
 use crate::say::{say, tell};
 use clap::{Args, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
 use ipc_types::topics::{Clock, HealthReports};
 use ipc_types::{FlightTime, ProcessId};
-use recorder::{ALL_PLAYED, Feed, Input, Inputs, Log, LogPlayer, RecorderProcess};
+use recorder::{ALL_PLAYED, Feed, Input, Inputs, Log, LogPlayer};
 use runtime::ipc::{IpcPorts, Services};
 use runtime::run_dir::RunDir;
 use runtime::{Connect, Message, Ports};
@@ -33,10 +33,10 @@ use supervisor::{ATTENTION, ChildCommand, Happening, SignalWatch, Supervision};
 #[derive(Clone, Debug, Args)]
 #[command(next_help_heading = "Logs (MCAP)")]
 pub(crate) struct LogArguments {
-    /// How fast a log is replayed over processes, of flight time per time: 1 as it was flown; or `fast`: as fast as possible, in
+    /// Flight time per time at which a log is replayed over processes: 1 as it was flown; or `fast`: as fast as possible, in
     /// one thread, which leaves nothing out.
-    #[arg(long, value_name = "TIMES|fast", default_value = "1", value_parser = parse_pace)]
-    pace: Pace,
+    #[arg(long, value_name = "TIMES|fast", default_value = "1", value_parser = parse_playback_rate)]
+    playback_rate: PlaybackRate,
     /// Flight time from which on it is replayed, s.
     #[arg(long, value_name = "S", default_value_t = 0.0, value_parser = parse_time)]
     from: f64,
@@ -64,7 +64,7 @@ impl From<FeedName> for Feed {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum Pace {
+enum PlaybackRate {
     Times(f64),
     Fast,
 }
@@ -73,7 +73,7 @@ impl LogArguments {
     /// The first of its options that was given, if any: they are for logs alone.
     pub(crate) fn given(&self) -> Option<&'static str> {
         let given = [
-            (self.pace != Pace::Times(1.0), "--pace"),
+            (self.playback_rate != PlaybackRate::Times(1.0), "--playback-rate"),
             (self.from > 0.0, "--from"),
             (self.until.is_some(), "--until"),
             (self.feed != FeedName::Frames, "--feed"),
@@ -82,10 +82,10 @@ impl LogArguments {
     }
 }
 
-fn parse_pace(text: &str) -> Result<Pace, String> {
-    let times = || text.parse().ok().filter(|times| (0.05..=20.0).contains(times)).map(Pace::Times);
-    let pace = if text == "fast" { Some(Pace::Fast) } else { times() };
-    pace.ok_or_else(|| format!("is \"{text}\", allowed are 0.05 to 20, and fast"))
+fn parse_playback_rate(text: &str) -> Result<PlaybackRate, String> {
+    let times = || text.parse().ok().filter(|times| (0.05..=20.0).contains(times)).map(PlaybackRate::Times);
+    let rate = if text == "fast" { Some(PlaybackRate::Fast) } else { times() };
+    rate.ok_or_else(|| format!("is \"{text}\", allowed are 0.05 to 20, and fast"))
 }
 
 fn parse_time(text: &str) -> Result<f64, String> {
@@ -131,19 +131,22 @@ struct ReplaySummary {
 /// Exit status 0 only if, as fast as possible, the same came of it.
 pub(crate) fn replay(given: &[PathBuf], arguments: &LogArguments, told: Told<'_>) -> Result<ExitCode, Box<dyn Error>> {
     let paths = if let [first] = given { Log::parts(first) } else { given.to_vec() };
-    let mut config = configuration(&paths[0], told.config)?;
+    let logs = open_logs(&paths)?;
+    let mut config = configuration(&attached_config(&logs[0], &paths[0])?, &paths[0], told.config)?;
     config.record_images = told.record_images;
-    let (recording, inputs) = Recording::read(&paths, arguments, &config)?;
+    let (recording, inputs) = Recording::read(&paths, &logs, arguments, &config)?;
+    // What is compared is read again; they may be large.
+    drop(logs);
     let name = told.run.map_or_else(fresh_name, str::to_owned);
     let run = RunDir::named(&name)?;
     let lock = run.take()?;
     let files = RunFiles::create(told.run_dir, &name, &config, told.summary)?;
-    match arguments.pace {
-        Pace::Fast => recording.in_lockstep(&config, &files, inputs)?,
-        Pace::Times(pace) => {
+    match arguments.playback_rate {
+        PlaybackRate::Fast => recording.in_lockstep(&config, &files, inputs)?,
+        PlaybackRate::Times(rate) => {
             // Its player reads them itself.
             drop(inputs);
-            recording.over_processes(&config, &run, &files, pace, SignalWatch::begin()?)?;
+            recording.over_processes(&config, &run, &files, rate, SignalWatch::begin()?)?;
         }
     }
     drop(lock);
@@ -155,15 +158,13 @@ pub(crate) fn replay(given: &[PathBuf], arguments: &LogArguments, told: Told<'_>
     tell!("{others} topics differ");
     tell!("run directory      {}", files.folder().display());
     files.write_summary(&ReplaySummary { from_s, until_s, images: recording.images, topics })?;
-    Ok(if others == 0 || arguments.pace != Pace::Fast { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+    Ok(if others == 0 || arguments.playback_rate != PlaybackRate::Fast { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
 /// The configuration that was flown, or another one for the same camera.
-fn configuration(log: &Path, other: Option<&Path>) -> Result<FlightConfig, Box<dyn Error>> {
-    let path = log.display();
-    let attached = Log::open(log).and_then(|log| log.attachment(CONFIG)).map_err(|error| format!("{path}: {error}"))?;
-    let attached = attached.ok_or_else(|| format!("{path}: it has no {CONFIG} attached: is it a log of ours?"))?;
-    let flown = FlightConfig::parse_snapshot(&format!("{path}: {CONFIG}"), &attached)?;
+fn configuration(attached: &str, path: &Path, other: Option<&Path>) -> Result<FlightConfig, Box<dyn Error>> {
+    let path = path.display();
+    let flown = FlightConfig::parse_snapshot(&format!("{path}: {CONFIG}"), attached)?;
     let Some(other) = other else {
         flown.check()?;
         // What was injected then is in what was seen already; what processes did to themselves is not to happen again.
@@ -182,13 +183,14 @@ fn configuration(log: &Path, other: Option<&Path>) -> Result<FlightConfig, Box<d
 impl<'a> Recording<'a> {
     fn read(
         paths: &'a [PathBuf],
+        logs: &[Log],
         arguments: &'a LogArguments,
         config: &FlightConfig,
     ) -> Result<(Self, Vec<Input>), Box<dyn Error>> {
-        let (path, logs) = (paths[0].display(), open(paths)?);
+        let path = paths[0].display();
         let wanted_s = arguments.from..=arguments.until.unwrap_or(f64::INFINITY);
         let of_file = |error| format!("{path}: {error}");
-        let inputs = Inputs::of(&logs, &wanted_s, arguments.feed.into()).map_err(of_file)?;
+        let inputs = Inputs::of(logs, &wanted_s, arguments.feed.into()).map_err(of_file)?;
         for (path, reading) in paths.iter().zip(&inputs.readings) {
             if !reading.damage.is_none() || reading.no_messages > 0 {
                 let (damage, no_messages) = (&reading.damage, reading.no_messages);
@@ -209,7 +211,7 @@ impl<'a> Recording<'a> {
         if inputs.incomplete > 0 {
             say(format_args!("{path}: {} images lack pixels, and are left out", inputs.incomplete));
         }
-        let known = look_through(&logs).map_err(of_file)?;
+        let known = look_through(logs).map_err(of_file)?;
         let range_s = arguments.from..=known.last_state_s.min(*wanted_s.end());
         Ok((Self { paths, arguments, images, in_lockstep: known.in_lockstep, range_s }, inputs.inputs))
     }
@@ -221,9 +223,7 @@ impl<'a> Recording<'a> {
     fn in_lockstep(&self, config: &FlightConfig, files: &RunFiles, inputs: Vec<Input>) -> Result<(), Box<dyn Error>> {
         let stop = Arc::new(AtomicBool::new(false));
         crate::cli::stop_on_signals(&stop)?;
-        let snapshot = config.snapshot();
-        let attachments = [(CONFIG, snapshot.as_str()), ("version.txt", VERSION)];
-        let recorder = RecorderProcess::create(&files.log(), &graph::recording(config, &attachments))?;
+        let recorder = graph::begin_recording(config, &files.log())?;
         let player = LogPlayer::new(inputs, 1.0, Vec::new());
         let until = FlightTime::from_secs_f64(*self.range_s.end()) + LINGERS;
         let bar = bar(&self.range_s);
@@ -241,10 +241,10 @@ impl<'a> Recording<'a> {
         config: &FlightConfig,
         run: &RunDir,
         files: &RunFiles,
-        pace: f64,
+        rate: f64,
         signals: SignalWatch,
     ) -> Result<(), Box<dyn Error>> {
-        let commands = self.commands(config, run, files.folder(), pace)?;
+        let commands = self.commands(config, run, files.folder(), rate)?;
         run.name_supervisor(std::process::id())?;
         let services = Services::hold(run)?;
         let mut ports = IpcPorts::open(run, ProcessId::Supervisor, 0, &config.vehicle.rig, |ports| {
@@ -253,7 +253,7 @@ impl<'a> Recording<'a> {
         })?;
         let mut supervision = Supervision::start(run, commands, signals, &[]);
         let (bar, mut played, mut progress) = (bar(&self.range_s), None, Instant::now());
-        let lingers = LINGERS.div_f64(pace).max(LINGERS);
+        let lingers = LINGERS.div_f64(rate).max(LINGERS);
         while played.is_none_or(|at: Instant| at.elapsed() < lingers) {
             for happening in supervision.attend(&services, ATTENTION) {
                 match happening {
@@ -291,11 +291,10 @@ impl<'a> Recording<'a> {
         config: &FlightConfig,
         run: &RunDir,
         folder: &Path,
-        pace: f64,
+        rate: f64,
     ) -> Result<Vec<ChildCommand>, Box<dyn Error>> {
         let members = &config.graph.processes;
-        let player = members.iter().find(|member| member.process == ProcessId::Simulator);
-        let player = player.map(|world| Member { process: ProcessId::Player, ..world.clone() });
+        let player = config.graph.in_place_of_the_world(ProcessId::Player);
         let rerun = members.iter().filter(|member| reruns(self.feed()).contains(&member.process));
         let recorder = members.iter().filter(|member| member.process == ProcessId::Recorder);
         let members = recorder.chain(rerun).cloned().chain(player);
@@ -308,7 +307,7 @@ impl<'a> Recording<'a> {
                 command.arguments.extend(["--play-log".to_owned(), path.to_owned()]);
             }
             let (from, until) = (self.arguments.from, *self.range_s.end());
-            for (name, value) in [("--pace", pace), ("--from", from), ("--until", until)] {
+            for (name, value) in [("--playback-rate", rate), ("--from", from), ("--until", until)] {
                 command.arguments.extend([name.to_owned(), value.to_string()]);
             }
             command.arguments.extend((self.feed() == Feed::Disparity).then(|| "--play-disparity".to_owned()));
@@ -319,9 +318,10 @@ impl<'a> Recording<'a> {
     /// What is the same and what is not, topic by topic.
     fn compare(&self, made: &Path) -> Result<BTreeMap<&'static str, Comparison>, Box<dyn Error>> {
         // Instants and counts are the same only from the beginning, and where no host's time is in them.
-        let times = self.arguments.pace == Pace::Fast && self.arguments.from == 0.0 && self.in_lockstep;
+        let times =
+            self.arguments.playback_rate == PlaybackRate::Fast && self.arguments.from == 0.0 && self.in_lockstep;
         let scope = Scope { producers: reruns(self.feed()).to_vec(), range_s: self.range_s.clone(), times };
-        Ok(compare(&open(self.paths)?, &open(&Log::parts(made))?, &scope)?)
+        Ok(compare(&open_logs(self.paths)?, &open_logs(&Log::parts(made))?, &scope)?)
     }
 }
 

@@ -2,11 +2,12 @@
 
 use crate::config::FlightConfig;
 use crate::graph::{self, Flight};
-use crate::log_compare::{Scope, compare, open};
-use crate::run_files::{CONFIG, VERSION};
+use crate::log_compare::{Scope, compare};
+use crate::log_files::{attached_config, open_logs};
+use crate::run_files::CONFIG;
 use crate::say::tell;
 use clap::Args;
-use recorder::{Log, RecorderProcess};
+use recorder::Log;
 use std::error::Error;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -23,20 +24,17 @@ pub(crate) struct ReflyArguments {
 
 /// Exit status 0 only if every message of every topic is the same to the bit.
 pub(crate) fn refly(arguments: &ReflyArguments) -> Result<ExitCode, Box<dyn Error>> {
-    let (path, logs) = (arguments.log.display(), open(&Log::parts(&arguments.log))?);
-    let attached = logs[0].attachment(CONFIG).map_err(|error| format!("{path}: {error}"))?;
-    let attached = attached.ok_or_else(|| format!("{path}: it has no {CONFIG} attached: is it a log of ours?"))?;
+    let (path, logs) = (arguments.log.display(), open_logs(&Log::parts(&arguments.log))?);
+    let attached = attached_config(&logs[0], &arguments.log)?;
     let config = FlightConfig::parse_snapshot(&format!("{path}: {CONFIG}"), &attached)?;
     let out = arguments.out.clone().unwrap_or_else(|| arguments.log.with_file_name("again.mcap"));
     if out.exists() {
         return Err(format!("{}: exists already: choose another with --out, or remove it", out.display()).into());
     }
-    let snapshot = config.snapshot();
-    let attachments = [(CONFIG, snapshot.as_str()), ("version.txt", VERSION)];
-    let recorder = RecorderProcess::create(&out, &graph::recording(&config, &attachments))?;
+    let recorder = graph::begin_recording(&config, &out)?;
     Flight::new(&config, Some(recorder))?.fly(|_| true);
     let scope = Scope { producers: Vec::new(), range_s: f64::NEG_INFINITY..=f64::INFINITY, times: true };
-    let topics = compare(&logs, &open(&Log::parts(&out))?, &scope).map_err(|error| format!("{path}: {error}"))?;
+    let topics = compare(&logs, &open_logs(&Log::parts(&out))?, &scope).map_err(|error| format!("{path}: {error}"))?;
     topics.iter().for_each(|(topic, comparison)| tell!("{topic:<18}{comparison}"));
     let differences = topics.values().filter(|comparison| !comparison.is_same()).count();
     tell!("{}: {differences} topics differ", out.display());

@@ -3,7 +3,6 @@
 use crate::config::FlightConfig;
 use crate::flight_run::command;
 use crate::graph::map_model;
-use crate::graph_config::Member;
 use crate::log_replay::{self, LogArguments, Told};
 use crate::replay_input::{Input, InputArguments};
 use crate::replay_report::{FrameFigures, print, summarise, write_images};
@@ -39,7 +38,7 @@ Examples:
   sparrowhawk replay left.png right.png --calib calib.txt --out seen
   sparrowhawk replay V1_01_easy --calib V1_01_easy/mav0
   sparrowhawk replay rgbd_dataset/depth --source depth --unit 0.0002 --focal 525 --baseline 0.075 --sigma-px 0.06
-  sparrowhawk replay runs/NAME/log.mcap --pace fast
+  sparrowhawk replay runs/NAME/log.mcap --playback-rate fast
   sparrowhawk replay runs/NAME/log.mcap --from 12 --until 20 --config my/other.ron
   sparrowhawk replay --camera /dev/video0 --pixel-format mjpeg --calib calibration.ron --frames 300"
 )]
@@ -164,13 +163,9 @@ fn commands(
     input: &Input,
     rate_hz: f64,
 ) -> std::io::Result<Vec<ChildCommand>> {
-    // They stand for the world. A camera that is unplugged is opened again; one that cannot be opened at all ends the run.
-    let stands_for_the_world = |process| {
-        let world = config.graph.processes.iter().find(|member| member.process == ProcessId::Simulator);
-        world.map(|world| Member { process, ..world.clone() })
-    };
-    let player = stands_for_the_world(ProcessId::Player);
-    let camera = stands_for_the_world(ProcessId::Camera).filter(|_| matches!(input, Input::Camera(_)));
+    // A camera that is unplugged is opened again; one that cannot be opened at all ends the run.
+    let player = config.graph.in_place_of_the_world(ProcessId::Player);
+    let camera = config.graph.in_place_of_the_world(ProcessId::Camera).filter(|_| matches!(input, Input::Camera(_)));
     let members = config.graph.digesting().chain(player).chain(camera);
     let mut commands: Vec<_> = members.map(|member| command(run, folder, &member)).collect::<std::io::Result<_>>()?;
     for command in commands.iter_mut().filter(|command| command.process == ProcessId::Player) {

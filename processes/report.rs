@@ -1,5 +1,6 @@
 //! `sparrowhawk report`: a flight's log as one page that needs nothing else.
 
+use crate::log_files::{attached_config, open_logs};
 use crate::report_flight::{Doing, FlownFlight};
 use crate::report_plots::{
     altitude, clearance, from_above, health, latencies, latency_figures, speed, time_to_collision,
@@ -9,7 +10,6 @@ use crate::say::tell;
 use clap::Args;
 use ipc_types::rig::CameraMount;
 use ipc_types::{Point, World};
-use recorder::Log;
 use serde::Deserialize;
 use std::error::Error;
 use std::fmt::Write as _;
@@ -34,14 +34,8 @@ pub(crate) fn report(arguments: &ReportArguments) -> Result<ExitCode, Box<dyn Er
         let path = path.display().to_string();
         move |error| format!("{path}: {error}")
     };
-    let logs: Vec<Log> = arguments
-        .logs
-        .iter()
-        .map(|path| Log::open(path).map_err(|error| error.to_string()))
-        .collect::<Result<_, String>>()?;
-    let attached = logs[0].attachment(CONFIG).map_err(at(first))?;
-    let attached =
-        attached.ok_or_else(|| format!("{}: it has no {CONFIG} attached: is it a log of ours?", first.display()))?;
+    let logs = open_logs(&arguments.logs)?;
+    let attached = attached_config(&logs[0], first)?;
     let config: Flown = ron::from_str(&attached).map_err(|error| format!("{}: {CONFIG}: {error}", first.display()))?;
     let flight = FlownFlight::read(&logs, &config.vehicle.mount).map_err(at(first))?;
     let page = page(&config, &flight)?;

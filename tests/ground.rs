@@ -266,6 +266,15 @@ fn who_has_no_certificate_sees_nothing_and_an_observer_commands_nothing() {
         let is_refused = said.contains("for 10 s") || said.contains("certificate");
         assert!(!output.status.success() && is_refused, "{stranger:?}: {output:?}");
     }
+    // One who knows the authority, and shows no certificate of his own.
+    let bare = serde_json::json!({
+        "mode": "client",
+        "connect": { "endpoints": [endpoint], "timeout_ms": 3000 },
+        "scouting": { "multicast": { "enabled": false } },
+        "transport": { "link": { "tls": { "root_ca_certificate": authority } } },
+    });
+    let bare = zenoh::Config::from_json5(&bare.to_string()).expect("a configuration");
+    assert!(zenoh::Wait::wait(zenoh::open(bare)).is_err(), "without a certificate there is no session");
     // A pilot's certificate is good for his own name alone.
     let disguised = ask(&ours.certify("ann"), &["hover", "--operator", "carl"]);
     assert!(disguised.status.code() == Some(1), "{disguised:?}");
@@ -278,7 +287,13 @@ fn who_has_no_certificate_sees_nothing_and_an_observer_commands_nothing() {
     assert_eq!(answers[0]["operator"], "ann", "by the name in his certificate");
     // All of them are in the run's log.
     let events = std::fs::read_to_string(run.path("runs").join(&run.name).join("events.jsonl")).expect("a log");
-    for expected in ["command/bob", "command/carl", "did not match any configured ACL subject", "certificate"] {
+    for expected in [
+        "command/bob",
+        "command/carl",
+        "did not match any configured ACL subject",
+        "UnknownCA",
+        "peer sent no certificates",
+    ] {
         assert!(events.contains(expected), "{expected} is not in {events}");
     }
     for refused in events.lines().filter(|line| line.contains("his certificate does not let him")) {

@@ -13,9 +13,8 @@ use socket2::{Domain, Socket, Type};
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
 use std::process::Stdio;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
-use std::sync::{Arc, Mutex};
+use std::sync::mpsc::{Receiver, SyncSender, channel, sync_channel};
+use std::sync::{Arc, Condvar, Mutex};
 use std::time::{Duration, Instant};
 use zenoh::Wait;
 
@@ -36,7 +35,21 @@ const LATE: u64 = 4711;
 /// A link that whoever connects to it has to the vehicle.
 struct Link {
     endpoint: String,
-    is_cut: Arc<AtomicBool>,
+    gate: Arc<Gate>,
+}
+
+/// Where what comes late waits for as long as the link is cut.
+#[derive(Default)]
+struct Gate {
+    is_cut: Mutex<bool>,
+    changed: Condvar,
+}
+
+impl Gate {
+    fn pass(&self) {
+        let is_cut = self.is_cut.lock().expect("sound");
+        drop(self.changed.wait_while(is_cut, |is_cut| *is_cut).expect("sound"));
+    }
 }
 
 impl Link {
@@ -50,22 +63,23 @@ impl Link {
         socket.listen(8).expect("listens");
         let listener: TcpListener = socket.into();
         let endpoint = format!("tcp/{}", listener.local_addr().expect("an address"));
-        let is_cut = Arc::new(AtomicBool::new(false));
-        let cut = Arc::clone(&is_cut);
+        let gate = Arc::<Gate>::default();
+        let passed = Arc::clone(&gate);
         std::thread::spawn(move || {
             for (number, ground) in listener.incoming().map_while(Result::ok).enumerate() {
                 let Ok(vehicle) = connect(vehicle) else { continue };
                 let (from_ground, from_vehicle) = (ground.try_clone(), vehicle.try_clone());
-                carry(from_ground.expect("cloned"), vehicle, &cut, 2 * number as u64);
-                carry(from_vehicle.expect("cloned"), ground, &cut, 2 * number as u64 + 1);
+                carry(from_ground.expect("cloned"), vehicle, &passed, 2 * number as u64);
+                carry(from_vehicle.expect("cloned"), ground, &passed, 2 * number as u64 + 1);
             }
         });
-        Self { endpoint, is_cut }
+        Self { endpoint, gate }
     }
 
     /// Nothing gets through, or everything does again.
     fn cut(&self, is_cut: bool) {
-        self.is_cut.store(is_cut, Ordering::Relaxed);
+        *self.gate.is_cut.lock().expect("sound") = is_cut;
+        self.gate.changed.notify_all();
     }
 }
 
@@ -77,7 +91,7 @@ fn connect(to: SocketAddr) -> std::io::Result<TcpStream> {
 }
 
 /// Carries one way.
-fn carry(mut from: TcpStream, mut to: TcpStream, cut: &Arc<AtomicBool>, seed: u64) {
+fn carry(mut from: TcpStream, mut to: TcpStream, gate: &Arc<Gate>, seed: u64) {
     let (sender, receiver): (SyncSender<(Instant, Vec<u8>)>, Receiver<_>) = sync_channel(QUEUE);
     let mut random = rand_pcg::Pcg64Mcg::seed_from_u64(seed);
     std::thread::spawn(move || {
@@ -94,13 +108,11 @@ fn carry(mut from: TcpStream, mut to: TcpStream, cut: &Arc<AtomicBool>, seed: u6
             std::thread::sleep(free.saturating_duration_since(Instant::now()));
         }
     });
-    let cut = Arc::clone(cut);
+    let gate = Arc::clone(gate);
     std::thread::spawn(move || {
         for (due, packet) in receiver {
             std::thread::sleep(due.saturating_duration_since(Instant::now()));
-            while cut.load(Ordering::Relaxed) {
-                std::thread::sleep(Duration::from_millis(5));
-            }
+            gate.pass();
             if to.write_all(&packet).is_err() {
                 return;
             }
@@ -111,6 +123,24 @@ fn carry(mut from: TcpStream, mut to: TcpStream, cut: &Arc<AtomicBool>, seed: u6
 fn order(run: &Run, link: &Link, arguments: &[&str]) -> std::process::Child {
     let mut command = run.command(&["ground", "--connect", &link.endpoint, "--order"]);
     command.args(arguments).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("starts")
+}
+
+/// For so long states are counted.
+const LISTENS: Duration = Duration::from_secs(10);
+/// Longest wait for one.
+const PATIENCE: Duration = Duration::from_secs(30);
+
+/// The instants for which states are valid, ns of flight time, as they are heard.
+fn states(session: &zenoh::Session) -> Receiver<i64> {
+    let (sender, states) = channel();
+    let hear = move |sample: zenoh::sample::Sample| {
+        let (state, _) = encoding::decode_message::<State>(0, &sample.payload().to_bytes()).expect("a state");
+        // Who listens no longer does not need it.
+        let _ = sender.send(state.stamp.valid_ns);
+    };
+    let key = "sparrowhawk/scout/topic/vehicle_state";
+    session.declare_subscriber(key).callback(hear).background().wait().expect("subscribed");
+    states
 }
 
 /// 250 kbit/s, 200 ms each way, 2 % lost; and no link for a while. States go on coming; what is commanded is answered, or runs out
@@ -134,35 +164,24 @@ fn telemetry_survives_a_bad_link_and_no_command_is_late() {
     let flight = run.start(&config);
     let link = Link::to(&endpoint);
     let session = bridge::open(&[], std::slice::from_ref(&link.endpoint), None, None).expect("a session");
-    // When states were heard, and the last one's flight time.
-    let heard: Arc<Mutex<(Vec<Instant>, i64)>> = Arc::default();
-    let hears = Arc::clone(&heard);
-    let key = "sparrowhawk/scout/topic/vehicle_state";
-    let hear = move |sample: zenoh::sample::Sample| {
-        let (state, _) = encoding::decode_message::<State>(0, &sample.payload().to_bytes()).expect("a state");
-        let mut heard = hears.lock().expect("sound");
-        heard.0.push(Instant::now());
-        heard.1 = state.stamp.valid_ns;
-    };
-    session.declare_subscriber(key).callback(hear).background().wait().expect("subscribed");
+    let states = states(&session);
+    let mut heard: Vec<i64> = (0..20).map(|_| states.recv_timeout(PATIENCE).expect("heard")).collect();
     let begun = Instant::now();
-    while heard.lock().expect("sound").0.len() < 20 {
-        assert!(begun.elapsed() < Duration::from_secs(30), "nothing is heard");
-        std::thread::sleep(Duration::from_millis(20));
-    }
     let accepted = order(&run, &link, &["speed", "--speed", "3", "--valid", "8"]).wait_with_output().expect("ends");
     assert!(accepted.status.success(), "{accepted:?}");
-    std::thread::sleep(Duration::from_secs(8));
-    let (listened, last_ns) = heard.lock().expect("sound").clone();
-    let for_s = listened[0].elapsed().as_secs_f64();
-    let rate_hz = listened.len() as f64 / for_s;
+    let before = heard.len();
+    while begun.elapsed() < LISTENS {
+        heard.extend(states.recv_timeout(LISTENS));
+    }
+    let for_s = begun.elapsed().as_secs_f64();
+    let rate_hz = (heard.len() - before) as f64 / for_s;
     println!("{rate_hz:.1} states a second over {for_s:.1} s");
     assert!(rate_hz >= 5.0, "{rate_hz} Hz");
     // Sent while there is no link, it comes when it has run out.
     link.cut(true);
     let late = Command {
         number: LATE,
-        expires_ns: last_ns + 1_000_000_000,
+        expires_ns: heard.last().expect("heard") + 1_000_000_000,
         order: Order::Hover as u32,
         operator: Text::from("late"),
         ..Command::zeroed()
@@ -170,8 +189,10 @@ fn telemetry_survives_a_bad_link_and_no_command_is_late() {
     let mut bytes = Vec::new();
     encoding::encode_message::<Commands>(&late, &[], &mut bytes);
     session.put("sparrowhawk/scout/command/late", bytes).wait().expect("sent");
-    // Not so long that the session is given up, which would lose it.
-    std::thread::sleep(Duration::from_millis(1800));
+    // Until then, and not so long that the session is given up, which would lose it.
+    let beside = bridge::open(&[], std::slice::from_ref(&endpoint), None, None).expect("a session");
+    let flown_on = self::states(&beside);
+    while flown_on.recv_timeout(PATIENCE).expect("heard") <= late.expires_ns {}
     link.cut(false);
     let flown = run.flown(flight.wait_with_output().expect("ends"));
     println!("{:.3} flight seconds per second", flown.number("clock_ratio"));

@@ -75,8 +75,10 @@ fn a_lockstep_flight_is_flown_again_from_its_log_to_the_bit() {
     assert_eq!(again.status.code(), Some(1), "{again:?}");
     assert!(String::from_utf8_lossy(&again.stdout).contains(" now, "), "{again:?}");
     // And what it saw is matched to the same, though at other instants.
-    let output =
-        other.command(&["replay", &other.log().display().to_string(), "--pace", "fast"]).output().expect("starts");
+    let output = other
+        .command(&["replay", &other.log().display().to_string(), "--playback-rate", "fast"])
+        .output()
+        .expect("starts");
     let said = String::from_utf8_lossy(&output.stdout).into_owned();
     let disparity =
         said.lines().find(|line| line.starts_with("disparity_image")).unwrap_or_else(|| panic!("{output:?}"));
@@ -96,7 +98,7 @@ fn what_a_flight_saw_is_replayed() {
         (output.status.code(), String::from_utf8_lossy(&output.stdout).into_owned(), output)
     };
     for (arguments, topics) in [(&["--record-images"][..], 9), (&["--feed", "disparity"], 5)] {
-        let (code, said, output) = replay(&[&["--pace", "fast"], arguments].concat());
+        let (code, said, output) = replay(&[&["--playback-rate", "fast"], arguments].concat());
         assert!(code == Some(0) && said.contains("0 topics differ"), "{output:?}");
         assert!(said.matches("messages  the same").count() >= topics, "{said}");
     }
@@ -105,14 +107,15 @@ fn what_a_flight_saw_is_replayed() {
     let vehicle = run.path("config/vehicles/scout.ron");
     let text = std::fs::read_to_string(&vehicle).expect("readable");
     std::fs::write(&vehicle, text.replacen("lead_s: 0.06", "lead_s: 0.05", 1)).expect("writable");
-    let (code, said, output) = replay(&["--pace", "fast", "--config", "config/default.ron"]);
+    let (code, said, output) = replay(&["--playback-rate", "fast", "--config", "config/default.ron"]);
     let line = |topic: &str| said.lines().find(|line| line.starts_with(topic)).unwrap_or_else(|| panic!("{output:?}"));
     assert!(code == Some(1) && line("keyframe_set").ends_with("the same"), "{output:?}");
     assert!(!line("trajectory").ends_with("the same"), "{output:?}");
     // A range of it, over processes, as fast as it was flown: what was made of an image is the same, unless the image was missed.
     let _alone = common::real_time();
     let again = Run::new("again-slowly");
-    let range = ["--from", "2", "--until", "4", "--pace", "1", "--run", &again.name, "--summary", "summary.json"];
+    let range =
+        ["--from", "2", "--until", "4", "--playback-rate", "1", "--run", &again.name, "--summary", "summary.json"];
     let (code, said, output) = replay(&range);
     assert!(code == Some(0) && said.contains("replayed           25 images"), "{output:?}");
     let summary = std::fs::read_to_string(run.path("summary.json")).expect("a summary");
@@ -125,7 +128,7 @@ fn what_a_flight_saw_is_replayed() {
     for (arguments, expected) in [
         (&["--from", "900"][..], "look at --from and --until"),
         (&["--config", "config/fast.ron"], "its camera is not the one"),
-        (&["--pace", "0"], "allowed are 0.05 to 20"),
+        (&["--playback-rate", "0"], "allowed are 0.05 to 20"),
         (&["left.png"], "images and logs"),
         (&["--calib", "calib.txt"], "--calib is for images"),
     ] {
@@ -257,7 +260,7 @@ fn a_large_recording_is_in_parts_and_another_versions_is_refused() {
     assert!(sequences.windows(2).all(|pair| pair[1] == pair[0] + 1), "nothing is lost between them");
     // All parts are played, and what is made of them may be in parts, too.
     let log = run.log().display().to_string();
-    let output = run.command(&["replay", &log, "--pace", "fast", "--record-images"]).output().expect("starts");
+    let output = run.command(&["replay", &log, "--playback-rate", "fast", "--record-images"]).output().expect("starts");
     let said = String::from_utf8_lossy(&output.stdout).into_owned();
     let number = |line: &str| {
         said.lines()

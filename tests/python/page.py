@@ -33,7 +33,7 @@ with sync_playwright() as playwright:
     question = page.locator("#question").inner_text()
     page.locator("#yes").click()
     page.wait_for_function("document.querySelector('#said').textContent.includes('accepted')", timeout=10_000)
-    page.wait_for_timeout(1500)
+    page.wait_for_function("[...document.querySelectorAll('#facts dd')].some(fact => fact.textContent === '0 of 1 places passed')")
     page.screenshot(path=screenshot)
     assert not errors, errors
     # Without the ground the page says so; once it is back, so is the page.

@@ -116,8 +116,8 @@ impl OpenLink {
             let status = Arc::clone(&about.status);
             move || {
                 let status = status.lock().unwrap_or_else(PoisonError::into_inner);
-                let named: Vec<_> = status.iter().map(|(process, health)| (process.name(), health)).collect();
-                serde_json::json!(named.into_iter().collect::<HashMap<_, _>>()).to_string().into_bytes()
+                let named = status.iter().map(|(process, health)| (process.name().to_owned(), health.clone()));
+                serde_json::Value::Object(named.collect()).to_string().into_bytes()
             }
         })?;
         answer(&session, key(vehicle, keys::LOGS), Encoding::APPLICATION_JSON, {

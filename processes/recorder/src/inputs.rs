@@ -30,7 +30,8 @@ pub struct Input {
     pub topic: &'static str,
     /// Its header, as in shared memory.
     pub header: Vec<u8>,
-    /// Its elements: pixels.
+    /// Its elements, in native byte order: pixels, row by row; of a pair the left image's, then the right one's, a byte each; else
+    /// two bytes each, in the sensor's unit or 1/64 px of disparity. None of what has no pixels.
     pub elements: Vec<u8>,
     /// Its stamp.
     pub stamp: Stamp,

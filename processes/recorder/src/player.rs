@@ -15,7 +15,7 @@ const STEP: Duration = Duration::from_millis(5);
 /// Between two readings of the clock.
 const CLOCK_INTERVAL: Duration = Duration::from_millis(10);
 
-/// Publishes every message at the flight time at which it was published, by a clock of its own that runs at a pace: 1 is as it
+/// Publishes every message at the flight time at which it was published, by a clock of its own that runs at a playback rate, flight time per host time: 1 is as it
 /// was flown.
 ///
 /// It begins when every process that it was told of has been heard: one that is still starting would miss something. In
@@ -25,7 +25,7 @@ pub struct LogPlayer {
     inputs: Vec<Input>,
     next: usize,
     awaited: Vec<ProcessId>,
-    pace: f64,
+    playback_rate: f64,
     /// Flight time at which it begins, and host time at which it began.
     from: FlightTime,
     began: Option<HostTime>,
@@ -36,14 +36,14 @@ pub struct LogPlayer {
 }
 
 impl LogPlayer {
-    /// For what is to be played, in the order published, at a pace, to begin when the `awaited` processes are there.
-    pub fn new(inputs: Vec<Input>, pace: f64, awaited: Vec<ProcessId>) -> Self {
+    /// For what is to be played, in the order published, at a playback rate, to begin when the `awaited` processes are there.
+    pub fn new(inputs: Vec<Input>, playback_rate: f64, awaited: Vec<ProcessId>) -> Self {
         let from = inputs.first().map_or(FlightTime::ZERO, Input::published);
         Self {
             inputs,
             next: 0,
             awaited,
-            pace,
+            playback_rate,
             from,
             began: None,
             host: HostTime::ZERO,
@@ -55,7 +55,7 @@ impl LogPlayer {
 
     fn publish_clock(&self, ports: &mut impl Ports) {
         let now = ports.now();
-        let (host_ns, rate) = (self.host.as_nanos(), if self.began.is_some() { self.pace } else { 0.0 });
+        let (host_ns, rate) = (self.host.as_nanos(), if self.began.is_some() { self.playback_rate } else { 0.0 });
         ports.publish::<Clock>(now, 0, |clock, _| {
             (clock.flight_ns, clock.host_ns, clock.rate) = (now.as_nanos(), host_ns, rate);
         });
@@ -126,7 +126,7 @@ impl Process for LogPlayer {
         let due = self.inputs.get(self.next).filter(|_| self.awaited.is_empty()).map(Input::published);
         let wait = due.map_or(STEP, |due| due.saturating_since(self.stepped).min(STEP));
         // Whoever makes time is woken by host time.
-        Some(self.stepped + wait.div_f64(self.pace))
+        Some(self.stepped + wait.div_f64(self.playback_rate))
     }
 
     fn flight_time(&mut self, host: HostTime) -> Option<FlightTime> {
@@ -134,7 +134,8 @@ impl Process for LogPlayer {
         if self.awaited.is_empty() {
             self.began.get_or_insert(host);
         }
-        let played = self.began.map_or(Duration::ZERO, |began| host.saturating_since(began).mul_f64(self.pace));
+        let played =
+            self.began.map_or(Duration::ZERO, |began| host.saturating_since(began).mul_f64(self.playback_rate));
         Some(self.from + played)
     }
 }

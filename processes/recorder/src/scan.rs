@@ -113,7 +113,7 @@ fn hand_on(opcode: u8, body: &[u8], take: &mut impl FnMut(Part<'_>) -> Result<()
     Ok(true)
 }
 
-/// Hands on what is in a chunk, all of it or, if it is damaged, nothing; whether it was sound.
+/// Hands on what is in a chunk, nothing of it if its checksum is wrong, else up to the first record that is none; whether it was sound.
 fn scan_chunk(
     record: &[u8],
     body: &[u8],
