@@ -16,6 +16,9 @@ pub(crate) enum Part {
     Hysteresis,
     /// The gaze: the camera looks towards the goal, not where the vehicle flies, and not around.
     Gaze,
+    /// The camera's tilt: it looks 15 degrees down, as that of the thesis's large platform, and so under where it flies when it
+    /// speeds up.
+    Tilt,
     /// The layers: four instead of two, or two instead of four.
     Layers,
 }
@@ -25,6 +28,13 @@ const HARDLY_PX: f32 = 0.01;
 /// What the newest frames span, s: so short that there are no more than must agree.
 const HARDLY_S: f64 = 0.1;
 
+/// How far down the thesis's cameras look, degrees.
+const DOWN_DEG: f64 = 15.0;
+/// What every camera sees, degrees above the flight path.
+const LEAST_UP_DEG: f64 = -60.0;
+/// More than a half height is rounded by, m.
+const ROUNDING_M: f32 = 1e-6;
+
 impl Part {
     /// As it is called on the command line and in tables.
     pub(crate) fn name(self) -> &'static str {
@@ -33,6 +43,7 @@ impl Part {
             Self::Noise => "noise",
             Self::Hysteresis => "hysteresis",
             Self::Gaze => "gaze",
+            Self::Tilt => "tilt",
             Self::Layers => "layers",
         }
     }
@@ -52,6 +63,12 @@ impl Part {
                 vehicle.planner.hysteresis_m = 0.0;
             }
             Self::Gaze => vehicle.planner.gaze_follows_flight = false,
+            Self::Tilt => {
+                vehicle.mount.pitch_up_deg = -DOWN_DEG;
+                vehicle.planner.least_view_up_deg = LEAST_UP_DEG;
+                let half_height_m = vehicle.tilted_half_height_m() as f32 + ROUNDING_M;
+                vehicle.expansion.body_half_height_m = vehicle.expansion.body_half_height_m.max(half_height_m);
+            }
             Self::Layers => {
                 vehicle.expansion.layers = match vehicle.expansion.layers {
                     Layers::Two => Layers::Four,

@@ -43,7 +43,7 @@ impl Case {
 }
 
 /// The table's columns: the fields of [`Row`], in order.
-const COLUMNS: [&str; 27] = [
+const COLUMNS: [&str; 28] = [
     "config",
     "world",
     "cruise_mps",
@@ -59,6 +59,7 @@ const COLUMNS: [&str; 27] = [
     "mean_deviation_m",
     "distance_to_goal_m",
     "mean_speed_mps",
+    "way_speed_mps",
     "max_speed_mps",
     "min_clearance_m",
     "replans",
@@ -92,6 +93,8 @@ pub(crate) struct Row {
     pub(crate) mean_deviation_m: f64,
     pub(crate) distance_to_goal_m: f64,
     pub(crate) mean_speed_mps: f64,
+    /// The same without taking off and settling at the goal.
+    pub(crate) way_speed_mps: f64,
     pub(crate) max_speed_mps: f64,
     /// From the hull to an obstacle; empty when it never came within 5 m.
     pub(crate) min_clearance_m: Option<f64>,
@@ -127,6 +130,7 @@ impl Row {
             mean_deviation_m: summary.mean_deviation_m,
             distance_to_goal_m: summary.distance_to_goal_m,
             mean_speed_mps: summary.mean_speed_mps,
+            way_speed_mps: summary.way_speed_mps,
             max_speed_mps: summary.max_speed_mps,
             min_clearance_m: summary.min_clearance_m,
             replans: summary.replans,
@@ -289,7 +293,7 @@ fn quantile(mut values: Vec<f64>, share: f64) -> f64 {
 }
 
 /// Headings of the digest.
-const HEADINGS: [&str; 15] = [
+const HEADINGS: [&str; 16] = [
     "flight",
     "world",
     "m/s",
@@ -300,6 +304,7 @@ const HEADINGS: [&str; 15] = [
     "stuck",
     "time s",
     "mean m/s",
+    "way m/s",
     "path/straight",
     "beside m",
     "clearance m",
@@ -308,7 +313,7 @@ const HEADINGS: [&str; 15] = [
 ];
 const NOTES: &str =
     "collided: in brackets the most that it may be, with 95 % confidence. stuck: gave up or out of time.
-time, mean speed, path: medians of those that arrived. beside: how far from the straight line they flew in the mean, median.
+time, speeds, path: medians of those that arrived; way: without taking off and settling at the goal. beside: how far from the straight line they flew in the mean, median.
 clearance: least, median. planning: medians of the flights' medians and 99th percentiles, and the longest of all, with all
 cores flying. replans: median.
 ";
@@ -322,9 +327,9 @@ pub(crate) fn digest(rows: &[&Row]) -> String {
         let key = (&row.config, &row.world, numbers, row.avoidance, row.without);
         groups.entry(key).or_default().push(row);
     }
-    let lines: Vec<[String; 15]> = groups.values().map(|rows| line(rows)).collect();
+    let lines: Vec<[String; HEADINGS.len()]> = groups.values().map(|rows| line(rows)).collect();
     let headings = HEADINGS.map(str::to_owned);
-    let all: Vec<&[String; 15]> = std::iter::once(&headings).chain(&lines).collect();
+    let all: Vec<&[String; HEADINGS.len()]> = std::iter::once(&headings).chain(&lines).collect();
     let wide = |column: usize| all.iter().map(|line| line[column].chars().count()).max().unwrap_or_default();
     let mut text = String::new();
     for line in &all {
@@ -336,7 +341,7 @@ pub(crate) fn digest(rows: &[&Row]) -> String {
 }
 
 /// The digest of flights that differ in their seeds alone.
-fn line(rows: &[&Row]) -> [String; 15] {
+fn line(rows: &[&Row]) -> [String; HEADINGS.len()] {
     let count = |is: fn(Outcome) -> bool| rows.iter().filter(|row| is(row.outcome)).count();
     let arrived = count(|outcome| outcome == Outcome::Arrived);
     let collided = count(|outcome| outcome == Outcome::Collided);
@@ -362,6 +367,7 @@ fn line(rows: &[&Row]) -> [String; 15] {
         format!("{}", rows.len() - arrived - collided),
         median_of_arrived(|row| row.flight_time_s),
         median_of_arrived(|row| row.mean_speed_mps),
+        median_of_arrived(|row| row.way_speed_mps),
         median_of_arrived(|row| row.path_length_m / row.straight_line_m),
         median_of_arrived(|row| row.mean_deviation_m),
         format!("{}, {}", clearance(0.0), clearance(0.5)),
@@ -405,6 +411,7 @@ mod tests {
             mean_deviation_m: 1.4,
             distance_to_goal_m: 0.1,
             mean_speed_mps: 2.5,
+            way_speed_mps: 2.9,
             max_speed_mps: 4.0,
             min_clearance_m: (seed > 1).then_some(0.5),
             replans: 3,

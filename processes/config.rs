@@ -85,7 +85,7 @@ pub struct FlightConfig {
 }
 
 /// The configuration files that ship, compiled in.
-const SHIPPED: [(&str, &str); 23] = [
+const SHIPPED: [(&str, &str); 28] = [
     ("default.ron", include_str!("../config/default.ron")),
     ("fast.ron", include_str!("../config/fast.ron")),
     ("forest_100.ron", include_str!("../config/forest_100.ron")),
@@ -95,10 +95,15 @@ const SHIPPED: [(&str, &str); 23] = [
     ("cul_de_sac.ron", include_str!("../config/cul_de_sac.ron")),
     ("canopy.ron", include_str!("../config/canopy.ron")),
     ("hedge.ron", include_str!("../config/hedge.ron")),
+    ("thesis_large.ron", include_str!("../config/thesis_large.ron")),
+    ("thesis_small.ron", include_str!("../config/thesis_small.ron")),
     ("vehicles/scout.ron", include_str!("../config/vehicles/scout.ron")),
     ("vehicles/swift.ron", include_str!("../config/vehicles/swift.ron")),
+    ("vehicles/thesis_large.ron", include_str!("../config/vehicles/thesis_large.ron")),
+    ("vehicles/thesis_small.ron", include_str!("../config/vehicles/thesis_small.ron")),
     ("worlds/forest.ron", include_str!("../config/worlds/forest.ron")),
     ("worlds/long_forest.ron", include_str!("../config/worlds/long_forest.ron")),
+    ("worlds/sparse_forest.ron", include_str!("../config/worlds/sparse_forest.ron")),
     ("worlds/field.ron", include_str!("../config/worlds/field.ron")),
     ("worlds/wall.ron", include_str!("../config/worlds/wall.ron")),
     ("worlds/corridor.ron", include_str!("../config/worlds/corridor.ron")),
@@ -363,11 +368,12 @@ impl FlightConfig {
         let pull_mps2 = vehicle.planner.acceleration_mps2 + vehicle.simulator.vehicle.drag_hz * speed_mps;
         let tilt_deg = (pull_mps2 / 9.806_65).atan().to_degrees();
         let margin_deg = vehicle.rig.half_view_up_rad().to_degrees() + vehicle.mount.pitch_up_deg - tilt_deg;
+        let least_deg = vehicle.planner.least_view_up_deg;
         bounds.require(
-            margin_deg >= 10.0,
+            margin_deg >= least_deg,
             "vehicle.mount.pitch_up_deg",
             format_args!(
-                "is {}: tilted by {tilt_deg:.0} degrees the camera sees {margin_deg:.0} degrees above the flight path, at least 10 are needed",
+                "is {}: tilted by {tilt_deg:.0} degrees the camera sees {margin_deg:.0} degrees above the flight path, planner.least_view_up_deg is {least_deg}",
                 vehicle.mount.pitch_up_deg
             ),
         );

@@ -44,8 +44,8 @@ pub fn report(summary: &Summary, folder: &Path) -> String {
     line(
         "speed",
         format!(
-            "cruise {:.1} m/s, mean {:.1} m/s, highest {:.1} m/s",
-            summary.cruise_speed_mps, summary.mean_speed_mps, summary.max_speed_mps
+            "cruise {:.1} m/s, on the way {:.1} m/s, mean {:.1} m/s, highest {:.1} m/s",
+            summary.cruise_speed_mps, summary.way_speed_mps, summary.mean_speed_mps, summary.max_speed_mps
         ),
     );
     line("replans", summary.replans.to_string());

@@ -175,7 +175,7 @@ impl VehicleConfig {
 
 impl VehicleConfig {
     /// Half of the height that the hull takes up in the camera's frame when the vehicle brakes hard, m.
-    fn tilted_half_height_m(&self) -> f64 {
+    pub(crate) fn tilted_half_height_m(&self) -> f64 {
         let hull = &self.simulator.vehicle;
         let tilt_rad = self.mount.pitch_up_deg.to_radians().abs() + (self.planner.hard_braking_mps2 / 9.81).atan();
         let (sin, cos) = tilt_rad.min(FRAC_PI_2).sin_cos();

@@ -29,6 +29,7 @@ fn config(size: u32, threads: u32) -> Config {
         jerk_mps3: 60.0,
         hard_braking_mps2: 9.0,
         escape_m: 0.3,
+        least_view_up_deg: 10.0,
         take_off_mps: 1.2,
         yaw_rate_degps: 90.0,
         gaze_follows_flight: true,

@@ -25,6 +25,7 @@ pub(crate) fn config() -> Config {
         jerk_mps3: 30.0,
         hard_braking_mps2: 5.0,
         escape_m: 0.3,
+        least_view_up_deg: 10.0,
         take_off_mps: 1.2,
         yaw_rate_degps: 90.0,
         gaze_follows_flight: true,

@@ -82,6 +82,8 @@ pub struct Config {
     pub hard_braking_mps2: f64,
     /// How far from a candidate's start an occupied stretch may reach that leads out of a margin the vehicle is in, m.
     pub escape_m: f64,
+    /// How far above the flight path the camera must see while the vehicle speeds up at its cruise speed, degrees.
+    pub least_view_up_deg: f64,
     /// Speed of take-off, m/s.
     pub take_off_mps: f64,
     /// Turn rate of the planned heading, degrees/s.
@@ -153,6 +155,7 @@ impl Config {
         bounds.range("jerk_mps3", self.jerk_mps3, 1.0..=1000.0);
         bounds.range("hard_braking_mps2", self.hard_braking_mps2, self.braking_mps2.max(0.2)..=20.0);
         bounds.range("escape_m", self.escape_m, 0.0..=2.0);
+        bounds.range("least_view_up_deg", self.least_view_up_deg, -60.0..=60.0);
         bounds.range("take_off_mps", self.take_off_mps, 0.1..=5.0);
         bounds.range("yaw_rate_degps", self.yaw_rate_degps, 1.0..=360.0);
         bounds.range("unknown_price", self.unknown_price, 0.0..=100.0);

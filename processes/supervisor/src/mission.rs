@@ -4,7 +4,7 @@ use crate::ladder::{Ladder, LadderConfig, Step};
 use crate::mission_config::{AtGoal, MissionConfig};
 use crate::observation::Observation;
 use crate::orders::{Directive, LinkConfig, Orders};
-use crate::summary::{Recorder, Summary};
+use crate::summary::{Place, Recorder, Summary};
 use crate::supervision::ChildStatus;
 use ipc_types::messages::{Command, Health, Order, PlanMode, Rung, Task, Trajectory, VehicleState, WorldTruth};
 use ipc_types::topics::{
@@ -233,9 +233,9 @@ impl Mission {
     fn watch(&mut self, truth: WorldTruth) {
         let now = FlightTime::from_nanos(truth.stamp.valid_ns);
         let position = Point::<World>::from_array(truth.position_m);
-        self.recorder.truth(&truth, self.config.deviation_m(position));
-        let speed = Vector::<World>::from_array(truth.velocity_mps).norm();
         let is_last = self.passed == self.config.waypoints_m.len();
+        self.recorder.truth(&truth, &Place::new(&self.config, position, is_last));
+        let speed = Vector::<World>::from_array(truth.velocity_mps).norm();
         let ends = is_last && speed < HOVERING_MPS;
         let lasting = |since: &mut Option<FlightTime>, holds: bool| {
             *since = if holds { since.or(Some(now)) } else { None };

@@ -33,6 +33,9 @@ pub struct Summary {
     pub max_speed_mps: f64,
     /// Mean speed while airborne, m/s.
     pub mean_speed_mps: f64,
+    /// Mean speed on the way, m/s: without taking off and settling, from a metre beside the place of take-off until a metre
+    /// from the goal, where that was reached.
+    pub way_speed_mps: f64,
     /// Highest mean speed over 3 s, m/s.
     pub cruise_speed_mps: f64,
     /// Plans chosen anew.
@@ -193,10 +196,59 @@ impl ProcessSummary {
 const LONGEST_US: u64 = 60_000_000;
 /// Window of the cruise speed, s.
 const CRUISE_WINDOW_S: f64 = 3.0;
+/// The way begins so far beside the place of take-off, and ends so far from the goal, m.
+const WAY_ENDS_M: f64 = 1.0;
 /// Steps on the ladder that are remembered.
 const MOST_STEPS: usize = 1000;
 /// The stages an image passes, in order.
 const STAGES: [&str; 5] = ["camera", "stereo-ingest", "expansion", "memory", "planner"];
+
+/// The part of a flight between take-off and goal.
+#[derive(Debug, Default)]
+struct Way {
+    begun: bool,
+    ended: bool,
+    length_m: f64,
+    duration_s: f64,
+}
+
+impl Way {
+    /// A stretch flown, and where that was.
+    fn add(&mut self, length_m: f64, duration_s: f64, at: &Place) {
+        self.begun |= at.from_start_m > WAY_ENDS_M;
+        self.ended |= self.begun && at.to_goal_m < WAY_ENDS_M;
+        if self.begun && !self.ended {
+            self.length_m += length_m;
+            self.duration_s += duration_s;
+        }
+    }
+
+    fn speed_mps(&self) -> f64 {
+        if self.duration_s > 0.0 { self.length_m / self.duration_s } else { 0.0 }
+    }
+}
+
+/// Where the vehicle is, relative to the mission.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Place {
+    /// Distance from the straight line, m.
+    pub(crate) off_m: f64,
+    /// Level distance from the place of take-off, m.
+    pub(crate) from_start_m: f64,
+    /// Distance from the goal, m; infinite while there are waypoints to pass before it.
+    pub(crate) to_goal_m: f64,
+}
+
+impl Place {
+    /// `is_last`: whether the goal is what it flies to.
+    pub(crate) fn new(config: &MissionConfig, position: Point<World>, is_last: bool) -> Self {
+        Self {
+            off_m: config.deviation_m(position),
+            from_start_m: (position - config.start()).horizontal_norm(),
+            to_goal_m: if is_last { config.to_goal_m(position) } else { f64::INFINITY },
+        }
+    }
+}
 
 /// Gathers the account while flying.
 #[derive(Debug)]
@@ -215,6 +267,7 @@ pub struct Recorder {
     last: Option<(FlightTime, Point<World>)>,
     window: std::collections::VecDeque<(FlightTime, f64)>,
     airborne_s: f64,
+    way: Way,
     min_clearance_m: f64,
     max_speed_mps: f64,
     cruise_speed_mps: f64,
@@ -238,6 +291,7 @@ impl Recorder {
             last: None,
             window: std::collections::VecDeque::new(),
             airborne_s: 0.0,
+            way: Way::default(),
             min_clearance_m: f64::INFINITY,
             max_speed_mps: 0.0,
             cruise_speed_mps: 0.0,
@@ -306,16 +360,17 @@ impl Recorder {
         }
     }
 
-    /// `off_m`: distance from the straight line.
-    pub(crate) fn truth(&mut self, truth: &WorldTruth, off_m: f64) {
+    pub(crate) fn truth(&mut self, truth: &WorldTruth, at: &Place) {
         let (now, position) = (FlightTime::from_nanos(truth.stamp.valid_ns), Point::from_array(truth.position_m));
         let speed = Vector::<World>::from_array(truth.velocity_mps).norm();
         self.max_speed_mps = self.max_speed_mps.max(speed);
         if truth.airborne != 0 {
             if let Some((before, from)) = self.last {
-                self.path_length_m += from.distance(position);
-                self.deviation_m2 += from.distance(position) * off_m;
-                self.airborne_s += now.seconds_since(before);
+                let (length_m, duration_s) = (from.distance(position), now.seconds_since(before));
+                self.path_length_m += length_m;
+                self.deviation_m2 += length_m * at.off_m;
+                self.airborne_s += duration_s;
+                self.way.add(length_m, duration_s, at);
             }
             // Beyond what the simulator measures there is nothing to report.
             if truth.obstacle_clearance_m < 5.0 {
@@ -374,6 +429,7 @@ impl Recorder {
             min_clearance_m: self.min_clearance_m(),
             max_speed_mps: self.max_speed_mps,
             mean_speed_mps: if self.airborne_s > 0.0 { self.path_length_m / self.airborne_s } else { 0.0 },
+            way_speed_mps: self.way.speed_mps(),
             cruise_speed_mps: self.cruise_speed_mps,
             replans: plan.map_or(0, |plan| plan.replans),
             shadow_setpoints: self.shadow_setpoints,
