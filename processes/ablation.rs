@@ -16,11 +16,11 @@ pub(crate) enum Part {
     Hysteresis,
     /// The gaze: the camera looks towards the goal, not where the vehicle flies, and not around.
     Gaze,
+    /// The layers: four instead of two, or two instead of four.
+    Layers,
     /// The camera's tilt: it looks 15 degrees down, as that of the thesis's large platform, and so under where it flies when it
     /// speeds up.
     Tilt,
-    /// The layers: four instead of two, or two instead of four.
-    Layers,
 }
 
 /// Thinnest noise that is allowed, px.
@@ -43,8 +43,8 @@ impl Part {
             Self::Noise => "noise",
             Self::Hysteresis => "hysteresis",
             Self::Gaze => "gaze",
-            Self::Tilt => "tilt",
             Self::Layers => "layers",
+            Self::Tilt => "tilt",
         }
     }
 
@@ -74,6 +74,25 @@ impl Part {
                     Layers::Two => Layers::Four,
                     Layers::Four => Layers::Two,
                 }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::ValueEnum;
+
+    #[test]
+    fn what_is_left_without_a_part_can_fly_and_is_another() {
+        for flight in ["default", "fast", "thesis_large", "thesis_small"] {
+            let whole = FlightConfig::load(Some(flight.as_ref()), None).expect("it is shipped");
+            for part in Part::value_variants() {
+                let mut left = whole.clone();
+                part.remove(&mut left);
+                assert_ne!(left.vehicle, whole.vehicle, "{flight} without {}", part.name());
+                left.check().unwrap_or_else(|problem| panic!("{flight} without {}: {problem}", part.name()));
             }
         }
     }

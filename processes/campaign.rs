@@ -313,7 +313,8 @@ const HEADINGS: [&str; 16] = [
 ];
 const NOTES: &str =
     "collided: in brackets the most that it may be, with 95 % confidence. stuck: gave up or out of time.
-time, speeds, path: medians of those that arrived; way: without taking off and settling at the goal. beside: how far from the straight line they flew in the mean, median.
+time, speeds, path: medians of those that arrived; way: without taking off and settling at the goal. beside: how far from the
+straight line they flew in the mean, median.
 clearance: least, median. planning: medians of the flights' medians and 99th percentiles, and the longest of all, with all
 cores flying. replans: median.
 ";

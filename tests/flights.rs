@@ -150,9 +150,24 @@ fn a_fast_vehicle_crosses_100_m_of_forest() {
         fly(&FlightConfig { seed, ..fast })
     });
     for flight in &flights {
-        println!("{:?} in {:.1} s, at most {:.1} m/s", flight.outcome, flight.flight_time_s, flight.max_speed_mps);
+        println!("{:?} in {:.1} s, on the way {:.1} m/s", flight.outcome, flight.flight_time_s, flight.way_speed_mps);
         assert_ne!(flight.outcome, Outcome::Collided, "{flight:?}");
         assert!(flight.max_speed_mps > 8.0, "{flight:?}");
     }
     assert!(flights.iter().filter(|flight| flight.outcome == Outcome::Arrived).count() >= 3);
+    let fast = flights.iter().filter(|flight| flight.way_speed_mps > 6.0).count();
+    assert!(fast >= 3, "{fast} of 4 are flown at 6 m/s and more");
+}
+
+#[test]
+fn the_vehicles_of_the_thesis_cross_the_forests_they_are_made_for() {
+    let _alone = real_time();
+    let flights = on_threads(cores(), 0..=3, |index| {
+        let name = ["thesis_large", "thesis_small"][index as usize % 2];
+        let flight = FlightConfig::load(Some(name.as_ref()), None).expect("it is shipped");
+        fly(&FlightConfig { seed: 1 + index / 2, noise_camera: true, ..flight })
+    });
+    assert!(flights.iter().all(|flight| flight.outcome != Outcome::Collided), "{flights:?}");
+    let arrived = flights.iter().filter(|flight| flight.outcome == Outcome::Arrived).count();
+    assert!(arrived >= 3, "{arrived} of 4 arrive: {flights:?}");
 }
