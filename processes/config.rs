@@ -322,12 +322,15 @@ impl FlightConfig {
     }
 
     /// Free-space evidence with a swept radius below what the slowest plan commits to: else the vehicle could creep,
-    /// plan by plan, into what it has not seen.
+    /// plan by plan, into what it has not seen. Its home is where the body's centre may be for the body to stay inside the
+    /// cylinder that the operator declares free.
     pub fn free_space(&self) -> memory::FreeSpaceRule {
-        let (flown, home) = (self.vehicle.memory.free_space, self.mission.home);
+        let (flown, home, body) = (self.vehicle.memory.free_space, self.mission.home, &self.vehicle.expansion);
         let least_m = self.vehicle.planner.least_commitment_m(self.mission.cruise_speed_mps);
         let swept_radius_m = flown.swept_radius_m.min(0.9 * least_m);
-        memory::FreeSpaceConfig { swept_radius_m, ..flown }.with_home(home.radius_m, home.height_m)
+        let radius_m = (home.radius_m - f64::from(body.body_radius_m)).max(0.0);
+        let height_m = (home.height_m - f64::from(body.body_half_height_m)).max(0.0);
+        memory::FreeSpaceConfig { swept_radius_m, ..flown }.with_home(radius_m, height_m)
     }
 
     /// Range at which the noise is still small against the vehicle: σ_z = z²·σ/(f·b) + σ_m = radius, m.
@@ -387,6 +390,18 @@ impl FlightConfig {
             is_inside(0, start[0]) && is_inside(1, start[1]),
             "mission.start_m",
             format_args!("is {start:?}, must be inside the fence"),
+        );
+        let (home, body) = (self.mission.home, &self.vehicle.expansion);
+        bounds.require(
+            home.radius_m > f64::from(body.body_radius_m),
+            "mission.home.radius_m",
+            format_args!("is {}, must exceed the body's radius, {} m", home.radius_m, body.body_radius_m),
+        );
+        let top_m = self.mission.cruise_height_m + f64::from(body.body_half_height_m);
+        bounds.require(
+            home.height_m >= top_m,
+            "mission.home.height_m",
+            format_args!("is {}, must hold the body at cruise_height_m, up to {top_m:.2} m", home.height_m),
         );
     }
 

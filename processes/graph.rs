@@ -72,7 +72,7 @@ pub fn planner(config: &FlightConfig) -> PlannerProcess {
     let rule = config.free_space();
     let take_off = TakeOff {
         from: mission.start(),
-        radius_m: (TAKE_OFF_SHARE * mission.home.radius_m).min(TAKE_OFF_M),
+        radius_m: (TAKE_OFF_SHARE * rule.home_radius_m).min(TAKE_OFF_M),
         height_m: mission.cruise_height_m,
     };
     let (model, planner, cruise_mps) = (map_model(vehicle), vehicle.planner.clone(), mission.cruise_speed_mps);

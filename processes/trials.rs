@@ -26,8 +26,12 @@ pub(crate) struct Trial {
     goal_m: [f64; 3],
 }
 
-/// Of the home cylinder around a trial's start, m: trees may stand near.
-const HOME_RADIUS_M: f64 = 0.6;
+/// Largest radius of the home cylinder around a trial's start, m.
+const HOME_RADIUS_M: f64 = 1.5;
+/// How far that cylinder reaches above the start, m.
+const HOME_ABOVE_M: f64 = 0.5;
+/// What is no higher above the floor is the floor's, m.
+const FLOOR_M: f64 = 0.15;
 /// Lowest height of trials, m.
 const LOWEST_M: f64 = 0.4;
 
@@ -64,12 +68,24 @@ impl Trial {
             goal_m: [self.goal_m[0], self.goal_m[1], self.goal_m[2] - floor_m],
             waypoints_m: Vec::new(),
             cruise_height_m: height_m,
-            home: HomeConfig { radius_m: HOME_RADIUS_M, height_m: height_m + 0.5 },
+            home: self.home(&map, floor_m)?,
             ..flight.mission.clone()
         };
         config.mission.fence.least_m = [least.x, least.y, LOWEST_M];
         config.mission.fence.most_m = [most.x, most.y, most.z - floor_m];
         config.check().map_err(|error| format!("trial {}: {error}", self.number))?;
         Ok(config)
+    }
+
+    /// The widest cylinder around the start that the map shows free from the floor on: who stands there sees that.
+    fn home(&self, map: &Octomap, floor_m: f64) -> Result<HomeConfig, Box<dyn Error>> {
+        let top_m = self.start_m[2] + HOME_ABOVE_M;
+        let boxes = map.boxes().map_err(|error| format!("{}: {error}", self.map.display()))?;
+        let beside = boxes.iter().filter(|[least, most]| most.z > floor_m + FLOOR_M && least.z < top_m);
+        let away_m = beside.map(|[least, most]| {
+            let [x, y] = [self.start_m[0], self.start_m[1]];
+            (x - x.clamp(least.x, most.x)).hypot(y - y.clamp(least.y, most.y))
+        });
+        Ok(HomeConfig { radius_m: away_m.fold(HOME_RADIUS_M, f64::min), height_m: top_m - floor_m })
     }
 }

@@ -83,18 +83,20 @@ async fn state(State(ground): State<Arc<Ground>>) -> Response {
     json_response(&json!({ "vehicles": ground.watch.views() }))
 }
 
+/// Of a vehicle that was not heard yet there is nothing yet: a page that knew it from a ground before is not wrong to ask.
 async fn drawing(State(ground): State<Arc<Ground>>, Path(vehicle): Path<String>) -> Response {
     match ground.watch.drawing(&vehicle) {
         Some(drawing) => json_response(&drawing),
-        None => StatusCode::NOT_FOUND.into_response(),
+        None => StatusCode::NO_CONTENT.into_response(),
     }
 }
 
+/// Nothing yet, as a drawing.
 async fn image(State(ground): State<Arc<Ground>>, Path((vehicle, name)): Path<(String, String)>) -> Response {
     let headers = [(header::CONTENT_TYPE, "image/jpeg"), (header::CACHE_CONTROL, "no-store")];
     match ground.watch.image(&vehicle, &name) {
         Some(bytes) => (headers, bytes).into_response(),
-        None => StatusCode::NOT_FOUND.into_response(),
+        None => StatusCode::NO_CONTENT.into_response(),
     }
 }
 

@@ -34,8 +34,8 @@ pub struct FreeSpaceRule {
     pub home_radius_m: f64,
     /// Its height above the take-off place, m.
     pub home_height_m: f64,
-    /// Around where the vehicle's centre has been, free unless an image says otherwise, m. Must be less than the
-    /// slowest plan commits to, or the vehicle could creep into what it has not seen.
+    /// Around where the vehicle's centre has been, as far as an image had shown that free, free unless an image says
+    /// otherwise, m. Must be less than the slowest plan commits to, or the vehicle could creep into what it has not seen.
     pub swept_radius_m: f64,
     /// Distance between two views that both see far background before it counts as free, m.
     pub background_parallax_m: f64,
@@ -50,7 +50,13 @@ pub struct FreeSpace {
     rule: FreeSpaceRule,
     home: Point<World>,
     path: Vec<Point<World>>,
-    /// Of every [`PLACES`] places, the swept radius included.
+    /// As it was before the last change.
+    before: Vec<Point<World>>,
+    /// Which of these places an image had shown free when they were flown through.
+    is_seen: Vec<bool>,
+    /// Those of them.
+    seen: Vec<Point<World>>,
+    /// Of every [`PLACES`] of those, the swept radius included.
     boxes: Vec<Extent>,
     /// Of all places and the home cylinder.
     whole: Extent,
@@ -91,7 +97,8 @@ impl FreeSpace {
     /// Around a take-off place.
     pub fn new(rule: FreeSpaceRule, home: Point<World>) -> Self {
         let whole = Extent::around(home, [rule.home_radius_m, rule.home_radius_m, rule.home_height_m.max(0.5)]);
-        Self { rule, home, path: Vec::new(), boxes: Vec::new(), whole }
+        let (path, before, seen) = (Vec::new(), Vec::new(), Vec::new());
+        Self { rule, home, path, before, is_seen: Vec::new(), seen, boxes: Vec::new(), whole }
     }
 
     /// The rule.
@@ -104,13 +111,31 @@ impl FreeSpace {
         self.home
     }
 
-    /// Replaces the path flown.
-    pub fn set_path(&mut self, path: impl IntoIterator<Item = Point<World>>) {
+    /// Replaces the path flown. `is_seen` is asked of each of its places that is new: whether an image shows it free.
+    ///
+    /// The rest counts as a way back, not as evidence: else what it grants would let the vehicle move on, which would grant
+    /// more, until it has crept to where no image has ever looked.
+    pub fn set_path(
+        &mut self,
+        path: impl IntoIterator<Item = Point<World>>,
+        mut is_seen: impl FnMut(Point<World>) -> bool,
+    ) {
+        std::mem::swap(&mut self.path, &mut self.before);
         self.path.clear();
         self.path.extend(path);
+        let before = &self.before;
+        // It grows at its end, and its oldest places may be gone.
+        let kept = self.path.first().and_then(|first| before.iter().position(|place| place == first));
+        let kept = kept.filter(|&from| self.path.starts_with(&before[from..]));
+        self.is_seen.drain(..kept.unwrap_or(before.len()));
+        for &place in &self.path[self.is_seen.len()..] {
+            self.is_seen.push(is_seen(place));
+        }
+        self.seen.clear();
+        self.seen.extend(self.path.iter().zip(&self.is_seen).filter(|(_, is_seen)| **is_seen).map(|(place, _)| *place));
         let reach_m = [self.rule.swept_radius_m; 3];
         self.boxes.clear();
-        self.boxes.extend(self.path.chunks(PLACES).map(|places| {
+        self.boxes.extend(self.seen.chunks(PLACES).map(|places| {
             let first = Extent::around(places[0], reach_m);
             places.iter().fold(first, |all, &place| all.and(Extent::around(place, reach_m)))
         }));
@@ -134,12 +159,12 @@ impl FreeSpace {
         let reach_m = self.rule.swept_radius_m;
         let holds_both = |place: &Point<World>| place.distance(a) <= reach_m && place.distance(b) <= reach_m;
         self.is_home(a) && self.is_home(b)
-            || self.is_declared(a) && self.is_declared(b) && self.path.iter().any(holds_both)
+            || self.is_declared(a) && self.is_declared(b) && self.seen.iter().any(holds_both)
     }
 
-    /// Whether the vehicle's centre has been near this point.
+    /// Whether the vehicle's centre has been near this point, where an image had shown its place free.
     fn is_swept(&self, point: Point<World>) -> bool {
-        let near = self.boxes.iter().zip(self.path.chunks(PLACES)).filter(|(extent, _)| extent.contains(point));
+        let near = self.boxes.iter().zip(self.seen.chunks(PLACES)).filter(|(extent, _)| extent.contains(point));
         near.flat_map(|(_, places)| places).any(|place| place.distance(point) <= self.rule.swept_radius_m)
     }
 

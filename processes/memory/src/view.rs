@@ -221,9 +221,17 @@ impl View {
         &self.free_space
     }
 
-    /// The free-space evidence, to be brought up to date.
+    /// The free-space evidence, to be replaced.
     pub fn free_space_mut(&mut self) -> &mut FreeSpace {
         &mut self.free_space
+    }
+
+    /// Replaces the path flown. Which of its new places are evidence of free space, the keyframes of now say.
+    pub fn set_path(&mut self, path: impl IntoIterator<Item = Point<World>>) {
+        let nothing = FreeSpace::new(*self.free_space.rule(), self.free_space.home());
+        let mut free_space = std::mem::replace(&mut self.free_space, nothing);
+        free_space.set_path(path, |place| self.score(place).vouched);
+        self.free_space = free_space;
     }
 
     /// What is known about a point: occupied from a score of `threshold` (γ) on.

@@ -144,12 +144,36 @@ fn views_from_which_a_point_is_hidden_do_not_clear_it() {
 #[test]
 fn evidence_of_free_space() {
     let mut view = view();
-    view.free_space_mut().set_path([Point::new(3.0, 0.0, 0.0)]);
+    view.free_space_mut().set_path([Point::new(3.0, 0.0, 0.0)], |_| true);
     assert_eq!(at(&view, 3.4), Occupancy::Free);
     assert_ne!(at(&view, 3.6), Occupancy::Free);
     assert_eq!(at(&view, -50.5), Occupancy::Free, "home");
     wall(&mut view, 0.0, 2.0, 6.0);
     assert_eq!(at(&view, 3.4), Occupancy::Occupied, "an image says otherwise");
+}
+
+/// Without an image the vehicle may leave where images have shown free by the swept radius, and no farther however often.
+#[test]
+fn what_was_flown_through_unseen_vouches_for_nothing() {
+    let mut view = view();
+    let way = |to: u32| (0..=to).map(|i| Point::new(0.5 + 0.25 * f64::from(i), 0.0, 0.0)).collect::<Vec<_>>();
+    wall(&mut view, 0.0, 2.0, 6.0);
+    view.set_path(way(4));
+    // The image is forgotten, what it said of the way is not; then the vehicle goes on into what nothing shows.
+    view.clear();
+    view.set_path(way(4));
+    assert_eq!(at(&view, 1.9), Occupancy::Free);
+    for to in 5..20 {
+        view.set_path(way(to));
+        assert_eq!(at(&view, 1.99), Occupancy::Free);
+        assert!(matches!(at(&view, 2.01), Occupancy::Unknown(_)), "{to}");
+    }
+    // The oldest places are gone.
+    view.set_path(way(20)[3..].to_vec());
+    assert_eq!((at(&view, 0.5), at(&view, 1.9)), (Occupancy::Unknown(Unknown::OutOfView), Occupancy::Free));
+    // Another path.
+    view.set_path([Point::new(1.5, 0.0, 0.0)]);
+    assert!(matches!(at(&view, 1.5), Occupancy::Unknown(_)));
 }
 
 #[test]

@@ -68,7 +68,7 @@ fn random_view(seed: u64) -> (View, Pcg64Mcg) {
         let exposure = FlightTime::from_secs_f64(key as f64 * 0.1);
         assert!(view.push(Pose { rotation, translation }, exposure, elements.into()));
     }
-    view.free_space_mut().set_path((0..40).map(|i| Point::new(-3.0 + 0.1 * f64::from(i), 0.0, 1.0)));
+    view.free_space_mut().set_path((0..40).map(|i| Point::new(-3.0 + 0.1 * f64::from(i), 0.0, 1.0)), |_| true);
     (view, random)
 }
 

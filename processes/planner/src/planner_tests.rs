@@ -59,7 +59,7 @@ fn the_last_of_the_way_is_flown_only_where_it_is_known_free() {
     for (home_radius_m, end_m) in [(200.0, 30.0), (1.0, 29.4)] {
         let mut view = home_only(home_radius_m);
         // The swept volume alone must not carry it there.
-        view.free_space_mut().set_path([Point::new(29.4, 0.0, 2.0)]);
+        view.free_space_mut().set_path([Point::new(29.4, 0.0, 2.0)], |_| true);
         let mut planner = Planner::new(config(), FENCE, TAKE_OFF, 4.0);
         assert_eq!(planner.step(&at, &view).mode, PlanMode::Arrived);
         let end = planner.points().last().expect("points").position_m[0];
@@ -78,7 +78,7 @@ fn never_leaves_what_is_known_free() {
 fn a_vehicle_deep_inside_a_margin_leaves_it_by_the_way_it_came() {
     let mut view = before_a_wall();
     let flown = (0..=18).map(|place| Point::new(f64::from(place) * 0.25, 0.0, 2.0));
-    view.free_space_mut().set_path(flown);
+    view.free_space_mut().set_path(flown, |_| true);
     let mut planner = Planner::new(Config { lead_s: 0.0, ..config() }, FENCE, TAKE_OFF, 4.0);
     let (mut position, mut velocity, mut modes) = (Point::new(4.5, 0.0, 2.0), Vector::ZERO, Vec::new());
     for tick in 0..300 {
@@ -102,7 +102,7 @@ fn a_vehicle_that_all_views_wall_in_goes_by_what_it_saw_while_it_looked_around()
     let way: Vec<_> = (0..=30).map(|place| Point::new(f64::from(place) * 0.19, 0.0, 2.0)).collect();
     let (mut walled_in, mut fresh) = (before_a_wall(), home_only(1.0));
     for view in [&mut walled_in, &mut fresh] {
-        view.free_space_mut().set_path(way.iter().copied());
+        view.free_space_mut().set_path(way.iter().copied(), |_| true);
     }
     let mut planner = Planner::new(Config { lead_s: 0.0, ..config() }, FENCE, TAKE_OFF, 4.0);
     let (mut position, mut velocity, mut modes) = (way[30], Vector::ZERO, Vec::new());

@@ -108,7 +108,7 @@ impl PlannerProcess {
         }
         if let Some(path) = ports.latest::<Path>() {
             let places = path.elements().iter().map(|point| Point::from_array(point.position_m));
-            self.view.free_space_mut().set_path(places.filter(|place| place.is_finite()));
+            self.view.set_path(places.filter(|place| place.is_finite()));
         }
         is_complete
     }
