@@ -28,6 +28,8 @@ pub(crate) struct Trial {
 
 /// Largest radius of the home cylinder around a trial's start, m.
 const HOME_RADIUS_M: f64 = 1.5;
+/// How far a body may come beyond it, m: the swept volume reaches out of it, too.
+const BESIDE_M: f64 = 0.2;
 /// How far that cylinder reaches above the start, m.
 const HOME_ABOVE_M: f64 = 0.5;
 /// What is no higher above the floor is the floor's, m.
@@ -77,7 +79,7 @@ impl Trial {
         Ok(config)
     }
 
-    /// The widest cylinder around the start that the map shows free from the floor on: who stands there sees that.
+    /// A cylinder around the start that the map shows free from the floor on: who stands there sees that.
     fn home(&self, map: &Octomap, floor_m: f64) -> Result<HomeConfig, Box<dyn Error>> {
         let top_m = self.start_m[2] + HOME_ABOVE_M;
         let boxes = map.boxes().map_err(|error| format!("{}: {error}", self.map.display()))?;
@@ -86,6 +88,6 @@ impl Trial {
             let [x, y] = [self.start_m[0], self.start_m[1]];
             (x - x.clamp(least.x, most.x)).hypot(y - y.clamp(least.y, most.y))
         });
-        Ok(HomeConfig { radius_m: away_m.fold(HOME_RADIUS_M, f64::min), height_m: top_m - floor_m })
+        Ok(HomeConfig { radius_m: away_m.fold(HOME_RADIUS_M, |least_m, m| least_m.min(m - BESIDE_M)), height_m: top_m - floor_m })
     }
 }

@@ -34,7 +34,7 @@ pub struct FreeSpaceRule {
     pub home_radius_m: f64,
     /// Its height above the take-off place, m.
     pub home_height_m: f64,
-    /// Around where the vehicle's centre has been, as far as an image had shown that free, free unless an image says
+    /// Around where the vehicle's centre has been, as far as an image had shown that free or it is at home, free unless an image says
     /// otherwise, m. Must be less than the slowest plan commits to, or the vehicle could creep into what it has not seen.
     pub swept_radius_m: f64,
     /// Distance between two views that both see far background before it counts as free, m.
@@ -52,7 +52,7 @@ pub struct FreeSpace {
     path: Vec<Point<World>>,
     /// As it was before the last change.
     before: Vec<Point<World>>,
-    /// Which of these places an image had shown free when they were flown through.
+    /// Which of these places are at home, or an image had shown free when they were flown through.
     is_seen: Vec<bool>,
     /// Those of them.
     seen: Vec<Point<World>>,
@@ -111,7 +111,8 @@ impl FreeSpace {
         self.home
     }
 
-    /// Replaces the path flown. `is_seen` is asked of each of its places that is new: whether an image shows it free.
+    /// Replaces the path flown. `is_seen` is asked of each of its places that is new, unless it is at home: whether an image
+    /// shows it free.
     ///
     /// The rest counts as a way back, not as evidence: else what it grants would let the vehicle move on, which would grant
     /// more, until it has crept to where no image has ever looked.
@@ -129,7 +130,7 @@ impl FreeSpace {
         let kept = kept.filter(|&from| self.path.starts_with(&before[from..]));
         self.is_seen.drain(..kept.unwrap_or(before.len()));
         for &place in &self.path[self.is_seen.len()..] {
-            self.is_seen.push(is_seen(place));
+            self.is_seen.push(self.is_home(place) || is_seen(place));
         }
         self.seen.clear();
         self.seen.extend(self.path.iter().zip(&self.is_seen).filter(|(_, is_seen)| **is_seen).map(|(place, _)| *place));
@@ -162,7 +163,7 @@ impl FreeSpace {
             || self.is_declared(a) && self.is_declared(b) && self.seen.iter().any(holds_both)
     }
 
-    /// Whether the vehicle's centre has been near this point, where an image had shown its place free.
+    /// Whether the vehicle's centre has been near this point, at home or where an image had shown its place free.
     fn is_swept(&self, point: Point<World>) -> bool {
         let near = self.boxes.iter().zip(self.seen.chunks(PLACES)).filter(|(extent, _)| extent.contains(point));
         near.flat_map(|(_, places)| places).any(|place| place.distance(point) <= self.rule.swept_radius_m)
