@@ -27,7 +27,7 @@ pub(crate) struct Trial {
 }
 
 /// Largest radius of the home cylinder around a trial's start, m.
-const HOME_RADIUS_M: f64 = 1.5;
+const HOME_RADIUS_M: f64 = 2.0;
 /// How far a body may come beyond it, m: the swept volume reaches out of it, too.
 const BESIDE_M: f64 = 0.2;
 /// How far that cylinder reaches above the start, m.
