@@ -88,6 +88,9 @@ impl Trial {
             let [x, y] = [self.start_m[0], self.start_m[1]];
             (x - x.clamp(least.x, most.x)).hypot(y - y.clamp(least.y, most.y))
         });
-        Ok(HomeConfig { radius_m: away_m.fold(HOME_RADIUS_M, |least_m, m| least_m.min(m - BESIDE_M)), height_m: top_m - floor_m })
+        Ok(HomeConfig {
+            radius_m: away_m.fold(HOME_RADIUS_M, |least_m, m| least_m.min(m - BESIDE_M)),
+            height_m: top_m - floor_m,
+        })
     }
 }

@@ -3,6 +3,7 @@
 use ipc_types::bounds::Bounds;
 use ipc_types::{Point, World};
 use serde::{Deserialize, Serialize};
+use std::ops::Range;
 
 /// Evidence of free space that the vehicle's flight gives.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -41,6 +42,9 @@ pub struct FreeSpaceRule {
     pub background_parallax_m: f64,
 }
 
+/// Around where the vehicle's centre has been though no image had shown that free, m: it came through, as nearly as it follows
+/// a path. Less than any plan commits to, and than a step back, so that only the way it came is open.
+const CAME_THROUGH_M: f64 = 0.2;
 /// Places of the path flown that share a box.
 const PLACES: usize = 16;
 
@@ -54,9 +58,7 @@ pub struct FreeSpace {
     before: Vec<Point<World>>,
     /// Which of these places are at home, or an image had shown free when they were flown through.
     is_seen: Vec<bool>,
-    /// Those of them.
-    seen: Vec<Point<World>>,
-    /// Of every [`PLACES`] of those, the swept radius included.
+    /// Of every [`PLACES`] places, the swept radius included.
     boxes: Vec<Extent>,
     /// Of all places and the home cylinder.
     whole: Extent,
@@ -97,8 +99,8 @@ impl FreeSpace {
     /// Around a take-off place.
     pub fn new(rule: FreeSpaceRule, home: Point<World>) -> Self {
         let whole = Extent::around(home, [rule.home_radius_m, rule.home_radius_m, rule.home_height_m.max(0.5)]);
-        let (path, before, seen) = (Vec::new(), Vec::new(), Vec::new());
-        Self { rule, home, path, before, is_seen: Vec::new(), seen, boxes: Vec::new(), whole }
+        let (path, before) = (Vec::new(), Vec::new());
+        Self { rule, home, path, before, is_seen: Vec::new(), boxes: Vec::new(), whole }
     }
 
     /// The rule.
@@ -114,8 +116,8 @@ impl FreeSpace {
     /// Replaces the path flown. `is_seen` is asked of each of its places that is new, unless it is at home: whether an image
     /// shows it free.
     ///
-    /// The rest counts as a way back, not as evidence: else what it grants would let the vehicle move on, which would grant
-    /// more, until it has crept to where no image has ever looked.
+    /// The rest is a way back, and evidence of hardly more than itself: else what it grants would let the vehicle move on, which
+    /// would grant more, until it has crept to where no image has ever looked.
     pub fn set_path(
         &mut self,
         path: impl IntoIterator<Item = Point<World>>,
@@ -132,11 +134,9 @@ impl FreeSpace {
         for &place in &self.path[self.is_seen.len()..] {
             self.is_seen.push(self.is_home(place) || is_seen(place));
         }
-        self.seen.clear();
-        self.seen.extend(self.path.iter().zip(&self.is_seen).filter(|(_, is_seen)| **is_seen).map(|(place, _)| *place));
         let reach_m = [self.rule.swept_radius_m; 3];
         self.boxes.clear();
-        self.boxes.extend(self.seen.chunks(PLACES).map(|places| {
+        self.boxes.extend(self.path.chunks(PLACES).map(|places| {
             let first = Extent::around(places[0], reach_m);
             places.iter().fold(first, |all, &place| all.and(Extent::around(place, reach_m)))
         }));
@@ -157,16 +157,24 @@ impl FreeSpace {
 
     /// Whether all points between two are free without any image: in one ball or in the cylinder, which are convex.
     pub(crate) fn is_declared_between(&self, a: Point<World>, b: Point<World>) -> bool {
-        let reach_m = self.rule.swept_radius_m;
-        let holds_both = |place: &Point<World>| place.distance(a) <= reach_m && place.distance(b) <= reach_m;
+        let holds_both =
+            |(place, reach_m): (Point<World>, f64)| place.distance(a) <= reach_m && place.distance(b) <= reach_m;
         self.is_home(a) && self.is_home(b)
-            || self.is_declared(a) && self.is_declared(b) && self.seen.iter().any(holds_both)
+            || self.is_declared(a) && self.is_declared(b) && self.balls(0..self.path.len()).any(holds_both)
     }
 
-    /// Whether the vehicle's centre has been near this point, at home or where an image had shown its place free.
+    /// Whether the vehicle's centre has been near this point.
     fn is_swept(&self, point: Point<World>) -> bool {
-        let near = self.boxes.iter().zip(self.seen.chunks(PLACES)).filter(|(extent, _)| extent.contains(point));
-        near.flat_map(|(_, places)| places).any(|place| place.distance(point) <= self.rule.swept_radius_m)
+        let near = self.boxes.iter().enumerate().filter(|(_, extent)| extent.contains(point));
+        near.flat_map(|(index, _)| self.balls(index * PLACES..((index + 1) * PLACES).min(self.path.len())))
+            .any(|(place, reach_m)| place.distance(point) <= reach_m)
+    }
+
+    /// Some places of the path flown, and how far around them is free, m.
+    fn balls(&self, range: Range<usize>) -> impl Iterator<Item = (Point<World>, f64)> {
+        let [seen_m, unseen_m] = [self.rule.swept_radius_m, self.rule.swept_radius_m.min(CAME_THROUGH_M)];
+        let places = self.path[range.clone()].iter().zip(&self.is_seen[range]);
+        places.map(move |(&place, &is_seen)| (place, if is_seen { seen_m } else { unseen_m }))
     }
 
     /// Whether the operator declared this point free.

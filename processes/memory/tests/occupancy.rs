@@ -154,7 +154,7 @@ fn evidence_of_free_space() {
 
 /// Without an image the vehicle may leave where images have shown free by the swept radius, and no farther however often.
 #[test]
-fn what_was_flown_through_unseen_vouches_for_nothing() {
+fn what_was_flown_through_unseen_vouches_for_hardly_more_than_itself() {
     let mut view = view();
     let way = |to: u32| (0..=to).map(|i| Point::new(0.5 + 0.25 * f64::from(i), 0.0, 0.0)).collect::<Vec<_>>();
     wall(&mut view, 0.0, 2.0, 6.0);
@@ -163,17 +163,20 @@ fn what_was_flown_through_unseen_vouches_for_nothing() {
     view.clear();
     view.set_path(way(4));
     assert_eq!(at(&view, 1.9), Occupancy::Free);
-    for to in 5..20 {
+    assert!(matches!(at(&view, 2.01), Occupancy::Unknown(_)));
+    for to in 7..20 {
         view.set_path(way(to));
-        assert_eq!(at(&view, 1.99), Occupancy::Free);
-        assert!(matches!(at(&view, 2.01), Occupancy::Unknown(_)), "{to}");
+        // The way itself stays open.
+        let last_m = 0.5 + 0.25 * f64::from(to);
+        assert_eq!((at(&view, 2.1), at(&view, last_m + 0.19)), (Occupancy::Free, Occupancy::Free), "{to}");
+        assert!(matches!(at(&view, last_m + 0.21), Occupancy::Unknown(_)), "{to}");
     }
     // The oldest places are gone.
     view.set_path(way(20)[3..].to_vec());
     assert_eq!((at(&view, 0.5), at(&view, 1.9)), (Occupancy::Unknown(Unknown::OutOfView), Occupancy::Free));
     // Another path.
     view.set_path([Point::new(1.5, 0.0, 0.0)]);
-    assert!(matches!(at(&view, 1.5), Occupancy::Unknown(_)));
+    assert!(matches!(at(&view, 1.71), Occupancy::Unknown(_)));
 }
 
 #[test]
