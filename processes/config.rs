@@ -301,6 +301,7 @@ impl FlightConfig {
         crate::fault_file::check(&self.faults, &mut bounds);
         self.check_stopping(&mut bounds);
         self.check_places(&mut bounds);
+        self.check_home(&mut bounds);
         self.check_deadlines(&mut bounds);
         impossible(bounds)
     }
@@ -391,6 +392,10 @@ impl FlightConfig {
             "mission.start_m",
             format_args!("is {start:?}, must be inside the fence"),
         );
+    }
+
+    /// The cylinder that is declared free must hold the body, up to where take-off ends.
+    fn check_home(&self, bounds: &mut Bounds) {
         let (home, body) = (self.mission.home, &self.vehicle.expansion);
         bounds.require(
             home.radius_m > f64::from(body.body_radius_m),

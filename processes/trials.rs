@@ -28,7 +28,7 @@ pub(crate) struct Trial {
 
 /// Largest radius of the home cylinder around a trial's start, m.
 const HOME_RADIUS_M: f64 = 2.0;
-/// How far a body may come beyond it, m: the swept volume reaches out of it, too.
+/// What is left free between it and what the map shows, m: part of how far the swept volume reaches out of it.
 const BESIDE_M: f64 = 0.2;
 /// How far that cylinder reaches above the start, m.
 const HOME_ABOVE_M: f64 = 0.5;

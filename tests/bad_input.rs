@@ -48,6 +48,8 @@ fn configurations_that_cannot_be() {
         ("vehicles/scout.ron", "braking_mps2: 4.0", "braking_mps2: 0.5", vec!["controller.braking_mps2", "0.5"]),
         ("default.ron", "start_m: (0.0, 0.0)", "start_m: (300.0, 0.0)", vec!["mission.start_m", "fence"]),
         ("default.ron", "height_m: 3.0", "height_m: 1.0", vec!["home.height_m", "cruise_height_m"]),
+        ("default.ron", "height_m: 3.0", "height_m: 1.6", vec!["mission.home.height_m", "1.6", "up to 1.70 m"]),
+        ("default.ron", "radius_m: 2.0", "radius_m: 0.3", vec!["mission.home.radius_m", "0.3", "body's radius"]),
         ("vehicles/scout.ron", "rate_hz: 12.5", "rate_hz: 2.0", vec!["image_deadline_s", "interval"]),
         ("graphs/droan.ron", "process: memory,", "process: planner,", vec!["memory", "planner", "once"]),
         ("worlds/forest.ron", "trees_per_m2: 0.05", "trees_per_m2: 7.0", vec!["forest.ron", "trees_per_m2", "7"]),

@@ -226,7 +226,8 @@ impl View {
         &mut self.free_space
     }
 
-    /// Replaces the path flown. Which of its new places are evidence of free space, the keyframes of now say.
+    /// Replaces the path flown: where the body's centre has been, world, m, oldest first, all finite. The keyframes of now say which
+    /// of its new places are evidence of free space around them.
     pub fn set_path(&mut self, path: impl IntoIterator<Item = Point<World>>) {
         let nothing = FreeSpace::new(*self.free_space.rule(), self.free_space.home());
         let mut free_space = std::mem::replace(&mut self.free_space, nothing);
