@@ -80,9 +80,9 @@ enum Command {
 
 #[derive(Debug, Args)]
 struct CheckArguments {
-    /// Flight: default, fast, forest_100, behind, corridor, corner, cul_de_sac, canopy, hedge, thesis_large, thesis_small, or a file (RON); default if not given.
+    /// Flight: default, fast, forest_100, behind, corridor, corner, cul_de_sac, canopy, hedge, thesis_large, thesis_small, thicket, or a file (RON); default if not given.
     config: Option<PathBuf>,
-    /// World: forest, long_forest, field, wall, corridor, corner, cul_de_sac, canopy, hedge, or a RON file.
+    /// World: forest, long_forest, field, wall, corridor, corner, cul_de_sac, canopy, hedge, thicket, or a RON file.
     #[arg(long, value_name = "NAME|FILE")]
     world: Option<String>,
 }

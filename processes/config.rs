@@ -85,7 +85,7 @@ pub struct FlightConfig {
 }
 
 /// The configuration files that ship, compiled in.
-const SHIPPED: [(&str, &str); 28] = [
+const SHIPPED: [(&str, &str); 31] = [
     ("default.ron", include_str!("../config/default.ron")),
     ("fast.ron", include_str!("../config/fast.ron")),
     ("forest_100.ron", include_str!("../config/forest_100.ron")),
@@ -97,13 +97,16 @@ const SHIPPED: [(&str, &str); 28] = [
     ("hedge.ron", include_str!("../config/hedge.ron")),
     ("thesis_large.ron", include_str!("../config/thesis_large.ron")),
     ("thesis_small.ron", include_str!("../config/thesis_small.ron")),
+    ("thicket.ron", include_str!("../config/thicket.ron")),
     ("vehicles/scout.ron", include_str!("../config/vehicles/scout.ron")),
     ("vehicles/swift.ron", include_str!("../config/vehicles/swift.ron")),
     ("vehicles/thesis_large.ron", include_str!("../config/vehicles/thesis_large.ron")),
     ("vehicles/thesis_small.ron", include_str!("../config/vehicles/thesis_small.ron")),
+    ("vehicles/wren.ron", include_str!("../config/vehicles/wren.ron")),
     ("worlds/forest.ron", include_str!("../config/worlds/forest.ron")),
     ("worlds/long_forest.ron", include_str!("../config/worlds/long_forest.ron")),
     ("worlds/sparse_forest.ron", include_str!("../config/worlds/sparse_forest.ron")),
+    ("worlds/thicket.ron", include_str!("../config/worlds/thicket.ron")),
     ("worlds/field.ron", include_str!("../config/worlds/field.ron")),
     ("worlds/wall.ron", include_str!("../config/worlds/wall.ron")),
     ("worlds/corridor.ron", include_str!("../config/worlds/corridor.ron")),

@@ -31,10 +31,10 @@ const MOST_FLIGHTS: usize = 1_000_000;
 /// Options of a campaign. Every combination of configuration, world, speed and seed is flown.
 #[derive(Clone, Debug, Args)]
 pub(crate) struct EvaluateArguments {
-    /// Flights to compare: default, fast, forest_100, behind, corridor, corner, cul_de_sac, canopy, hedge, thesis_large, thesis_small, or files (RON); default if not given. Repeat, or separate by commas.
+    /// Flights to compare: default, fast, forest_100, behind, corridor, corner, cul_de_sac, canopy, hedge, thesis_large, thesis_small, thicket, or files (RON); default if not given. Repeat, or separate by commas.
     #[arg(long, value_name = "NAME|FILE", value_delimiter = ',')]
     config: Vec<PathBuf>,
-    /// Worlds: forest, long_forest, sparse_forest, field, wall, corridor, corner, cul_de_sac, canopy, hedge, or RON files; each flight file's own if not given. Repeat, or separate by commas.
+    /// Worlds: forest, long_forest, sparse_forest, field, wall, corridor, corner, cul_de_sac, canopy, hedge, thicket, or RON files; each flight file's own if not given. Repeat, or separate by commas.
     #[arg(long, value_name = "NAME|FILE", value_delimiter = ',')]
     world: Vec<String>,
     /// Highest speeds, m/s; each flight file's own if not given. Repeat, or separate by commas.

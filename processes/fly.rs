@@ -23,10 +23,10 @@ use supervisor::{AtGoal, Outcome, SignalWatch, Summary};
 /// Options of a flight.
 #[derive(Clone, Debug, Args)]
 pub(crate) struct FlyArguments {
-    /// Flight: default, fast, forest_100, behind, corridor, corner, cul_de_sac, canopy, hedge, thesis_large, thesis_small, or a file (RON); default if not given.
+    /// Flight: default, fast, forest_100, behind, corridor, corner, cul_de_sac, canopy, hedge, thesis_large, thesis_small, thicket, or a file (RON); default if not given.
     #[arg(long, value_name = "NAME|FILE")]
     pub(crate) config: Option<PathBuf>,
-    /// World: forest, long_forest, field, wall, corridor, corner, cul_de_sac, canopy, hedge, or a RON file.
+    /// World: forest, long_forest, field, wall, corridor, corner, cul_de_sac, canopy, hedge, thicket, or a RON file.
     #[arg(long, value_name = "NAME|FILE")]
     pub(crate) world: Option<String>,
     /// Seed of the world and of all noise.

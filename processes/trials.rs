@@ -28,7 +28,7 @@ pub(crate) struct Trial {
 
 /// Largest radius of the home cylinder around a trial's start, m.
 const HOME_RADIUS_M: f64 = 2.0;
-/// What is left free between it and what the map shows, m: part of how far the swept volume reaches out of it.
+/// What is left free between it and what the map shows, m: as far as what was flown through unseen is open beside its rim.
 const BESIDE_M: f64 = 0.2;
 /// How far that cylinder reaches above the start, m.
 const HOME_ABOVE_M: f64 = 0.5;

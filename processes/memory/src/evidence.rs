@@ -35,8 +35,7 @@ pub struct FreeSpaceRule {
     pub home_radius_m: f64,
     /// Its height above the take-off place, m.
     pub home_height_m: f64,
-    /// Around where the vehicle's centre has been, as far as an image had shown that free or it is at home, free unless an image says
-    /// otherwise, m. Must be less than the slowest plan commits to, or the vehicle could creep into what it has not seen.
+    /// Around where the vehicle's centre has been, as far as an image had shown that free, free unless an image says otherwise, m. Must be less than the slowest plan commits to, or the vehicle could creep into what it has not seen.
     pub swept_radius_m: f64,
     /// Distance between two views that both see far background before it counts as free, m.
     pub background_parallax_m: f64,
@@ -56,7 +55,7 @@ pub struct FreeSpace {
     path: Vec<Point<World>>,
     /// As it was before the last change.
     before: Vec<Point<World>>,
-    /// Which of these places are at home, or an image had shown free when they were flown through.
+    /// Which of these places an image had shown free when they were flown through.
     is_seen: Vec<bool>,
     /// Of every [`PLACES`] places, the swept radius included.
     boxes: Vec<Extent>,
@@ -113,11 +112,10 @@ impl FreeSpace {
         self.home
     }
 
-    /// Replaces the path flown. `is_seen` is asked of each of its places that is new, unless it is at home: whether an image
-    /// shows it free.
+    /// Replaces the path flown. `is_seen` is asked of each of its places that is new: whether an image shows it free.
     ///
     /// The rest is a way back, and evidence of hardly more than itself: else what it grants would let the vehicle move on, which
-    /// would grant more, until it has crept to where no image has ever looked.
+    /// would grant more, until it has crept to where no image has ever looked. That holds at home, too: its rim is its rim.
     pub fn set_path(
         &mut self,
         path: impl IntoIterator<Item = Point<World>>,
@@ -132,7 +130,7 @@ impl FreeSpace {
         let kept = kept.filter(|&from| self.path.starts_with(&before[from..]));
         self.is_seen.drain(..kept.unwrap_or(before.len()));
         for &place in &self.path[self.is_seen.len()..] {
-            self.is_seen.push(self.is_home(place) || is_seen(place));
+            self.is_seen.push(is_seen(place));
         }
         let reach_m = [self.rule.swept_radius_m; 3];
         self.boxes.clear();

@@ -177,6 +177,10 @@ fn what_was_flown_through_unseen_vouches_for_hardly_more_than_itself() {
     // Another path.
     view.set_path([Point::new(1.5, 0.0, 0.0)]);
     assert!(matches!(at(&view, 1.71), Occupancy::Unknown(_)));
+    // At home, just inside the rim: being there shows nothing of what is beyond.
+    view.set_path([Point::new(-49.01, 0.0, 0.0)]);
+    assert_eq!((at(&view, -49.05), at(&view, -48.85)), (Occupancy::Free, Occupancy::Free));
+    assert!(matches!(at(&view, -48.75), Occupancy::Unknown(_)));
 }
 
 #[test]
