@@ -35,7 +35,8 @@ pub struct FreeSpaceRule {
     pub home_radius_m: f64,
     /// Its height above the take-off place, m.
     pub home_height_m: f64,
-    /// Around where the vehicle's centre has been, as far as an image had shown that free, free unless an image says otherwise, m. Must be less than the slowest plan commits to, or the vehicle could creep into what it has not seen.
+    /// Around where the vehicle's centre has been, as far as an image had shown that free, free unless an image says otherwise, m.
+    /// Must be less than the slowest plan commits to, or the vehicle could creep into what it has not seen.
     pub swept_radius_m: f64,
     /// Distance between two views that both see far background before it counts as free, m.
     pub background_parallax_m: f64,
