@@ -169,14 +169,12 @@ impl Admission<'_> {
 
     /// Invariant 2: the braking segment along the velocity lies in space known free.
     fn stops_in_free_space(&self, from: Sample, threshold: f32, escape: Escape) -> Result<(), Refusal> {
-        let (mut at, mut found) = (from.position, Ok(()));
-        brake(from, self.config.braking_mps2, |sample| {
-            if found.is_ok() {
-                found = self.leg(at, sample.position, threshold, true, escape);
-            }
+        let mut at = from.position;
+        brake(from, self.config.braking_mps2).try_for_each(|sample| {
+            let leg = (at, sample.position);
             at = sample.position;
-        });
-        found
+            self.leg(leg.0, leg.1, threshold, true, escape)
+        })
     }
 
     /// Whether a leg (its start not included) may be flown.

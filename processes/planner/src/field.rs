@@ -183,7 +183,7 @@ impl Field {
                 }
             }
         }
-        if let Some(cell) = grid.beside(cell_of(goal), 0, 0) {
+        if let Some(cell) = grid.at(goal) {
             self.reach(self.nearest_level(goal.z) * cells + cell, from_m(cell) as f32);
         }
     }
@@ -235,6 +235,9 @@ impl Field {
     }
 
     fn nearest_level(&self, z_m: f64) -> usize {
+        if self.known.len() == 1 {
+            return self.known.start;
+        }
         let off_m = |&level: &usize| (self.levels[level].z_m - z_m).abs();
         self.known.clone().min_by(|a, b| off_m(a).total_cmp(&off_m(b))).unwrap_or(BELOW)
     }
@@ -250,7 +253,7 @@ impl Field {
             Ordering::Greater => above,
             Ordering::Equal => self.nearest_level(point.z),
         };
-        let Some(cell) = self.grid.beside(cell_of(point), 0, 0) else { return level };
+        let Some(cell) = self.grid.at(point) else { return level };
         let to_goal_m = |level: usize| f64::from(self.to_goal_m[level * self.grid.cells() + cell]);
         let rise_m = self.height_price * RISE_M - EARLY_M.min(0.4 * self.height_price * RISE_M);
         while level + 1 < self.known.end && to_goal_m(level + 1) + rise_m < to_goal_m(level) {
@@ -273,12 +276,16 @@ impl Field {
         let Some(start) = going.first().map(|sample| sample.position) else { return 0.0 };
         let mut cost_m = 0.0;
         for pair in going.windows(2) {
-            let length_m = pair[0].position.distance(pair[1].position);
-            let pieces = (length_m / CELL_M).ceil().max(1.0) as usize;
-            for piece in 1..=pieces {
-                let place = pair[0].position.lerp(pair[1].position, piece as f64 / pieces as f64);
-                if place.distance(start) > OWN_M {
-                    cost_m += (self.price_at(place).min(CLOSED_PRICE) - 1.0) * length_m / pieces as f64;
+            let step = pair[1].position - pair[0].position;
+            let length_m = step.norm();
+            let pieces = (length_m / CELL_M).ceil().max(1.0);
+            let (piece, piece_m) = (step * (1.0 / pieces), length_m / pieces);
+            let mut place = pair[0].position;
+            for _ in 0..pieces as usize {
+                place = place + piece;
+                let away = place - start;
+                if away.dot(away) > OWN_M * OWN_M {
+                    cost_m += (self.price_at(place).min(CLOSED_PRICE) - 1.0) * piece_m;
                 }
             }
         }
@@ -288,7 +295,7 @@ impl Field {
     /// Price of a metre at a place, relative to a free one; beyond the grid nothing is known to stand.
     fn price_at(&self, place: Point<World>) -> f64 {
         let price = |cell: usize| f64::from(self.price[self.nearest_level(place.z) * self.grid.cells() + cell]);
-        self.grid.beside(cell_of(place), 0, 0).map_or(1.0, price)
+        self.grid.at(place).map_or(1.0, price)
     }
 
     /// The way to the goal from a place, downhill, as far as the grids know it and about `most_m` long at most.

@@ -55,6 +55,14 @@ impl Grid {
         Point::new((x as f64 + 0.5) * CELL_M, (y as f64 + 0.5) * CELL_M, z_m)
     }
 
+    /// The cell that a point lies in, if it is one within the border.
+    pub(crate) fn at(self, point: Point<World>) -> Option<usize> {
+        let [column, row] = [(point.x, self.first.0), (point.y, self.first.1)]
+            .map(|(value, first)| value * (1.0 / CELL_M) - first as f64);
+        let (within, side) = (1.0..(self.side() - 1) as f64, self.side());
+        (within.contains(&column) && within.contains(&row)).then(|| row as usize * side + column as usize)
+    }
+
     /// The cell so many to the east and north of another, if there is one within the border.
     pub(crate) fn beside(self, (x, y): Cell, east: i64, north: i64) -> Option<usize> {
         let (column, row, last) = (x + east - self.first.0, y + north - self.first.1, self.side() as i64 - 1);
@@ -89,6 +97,11 @@ impl Grid {
 /// The cell that a point lies in.
 pub(crate) fn cell_of(point: Point<World>) -> Cell {
     // No world is larger, and no sum of cells overflows.
-    let cell = |value: f64| (value / CELL_M).floor().clamp(-1e12, 1e12) as i64;
+    let cell = |value: f64| {
+        let cells = (value * (1.0 / CELL_M)).clamp(-1e12, 1e12);
+        // Rounds towards zero, unlike `floor`, which is a call.
+        let towards_zero = cells as i64;
+        towards_zero - i64::from((towards_zero as f64) > cells)
+    };
     (cell(point.x), cell(point.y))
 }
