@@ -45,6 +45,7 @@ fn config(size: u32, threads: u32) -> Config {
         back_out_m: 3.0,
         attempts: 4,
         field_reach_m: 20.0,
+        field_rise_m: 1.0,
         threads,
         route: RouteConfig { segments: 150, search: SearchConfig { batch: 60, places: 400, neighbours: 24 } },
     }

@@ -59,7 +59,7 @@ impl Deliberation {
     pub(crate) fn new(config: &Config, fence: Fence, cruise_mps: f64) -> Self {
         let library = Library::new(config, cruise_mps);
         Self {
-            field: Field::new(config.field_reach_m),
+            field: Field::new(config.field_reach_m, config.field_rise_m),
             guide: Guide::new(config, fence),
             way: Vec::with_capacity(256),
             timing: Timing::default(),

@@ -17,12 +17,9 @@ use std::cmp::Ordering;
 use std::f64::consts::SQRT_2;
 use std::ops::Range;
 
-/// Distance of the grids from each other, m: whatever a vehicle keeps off by half a metre or more meets one at least.
-const RISE_M: f64 = 1.0;
-/// Grids at most, and how many of them below the one at the height to keep and above it.
-const LEVELS: usize = 4;
-const BELOW: usize = 1;
-const ABOVE: usize = LEVELS - BELOW - 1;
+/// How far they reach below the one at the height to keep, m, and above it.
+const BELOW_M: f64 = 1.0;
+const ABOVE_M: f64 = 2.0;
 /// A vehicle farther from the height to keep asks all grids, m.
 const OFF_M: f64 = 0.4;
 /// Those others are asked about once for so many cells along either side: 0.8 m, less than a margin is wide.
@@ -46,7 +43,11 @@ const EARLY_M: f64 = 0.5;
 #[derive(Clone, Debug)]
 pub(crate) struct Field {
     grid: Grid,
-    levels: [Level; LEVELS],
+    /// Distance of the levels from each other, m.
+    rise_m: f64,
+    /// From the lowest on; the one at the height to keep is this one.
+    levels: Vec<Level>,
+    kept: usize,
     survey: Survey,
     /// Those that are up to date, from the lowest on: the one at the height to keep, at least.
     known: Range<usize>,
@@ -75,15 +76,19 @@ pub(crate) struct Ask {
 }
 
 impl Field {
-    /// Grids that reach so far to every side of the vehicle, m.
-    pub(crate) fn new(reach_m: f64) -> Self {
+    /// Grids that reach so far to every side of the vehicle, so far above each other, m.
+    pub(crate) fn new(reach_m: f64, rise_m: f64) -> Self {
         let grid = Grid::new((reach_m / CELL_M).round().clamp(1.0, REMEMBERED as f64 / 2.0 - 2.0) as i64);
-        let cells = LEVELS * grid.cells();
+        let [below, above] = [BELOW_M, ABOVE_M].map(|reach_m| (reach_m / rise_m).round().max(1.0) as usize);
+        let levels = below + 1 + above;
+        let cells = levels * grid.cells();
         Self {
             grid,
-            levels: [0; LEVELS].map(|_| Level::new()),
+            rise_m,
+            levels: (0..levels).map(|_| Level::new()).collect(),
+            kept: below,
             survey: Survey::new(grid.cells()),
-            known: BELOW..BELOW + 1,
+            known: below..below + 1,
             height_price: 0.0,
             price: vec![1.0; cells],
             to_goal_m: vec![f32::INFINITY; cells],
@@ -96,26 +101,27 @@ impl Field {
         self.grid.move_to(at);
         self.height_price = ask.height_price;
         // The vehicle's own height lies between the lowest and the highest level.
-        let height_m = ask.height_m.max(at.z - ABOVE as f64 * RISE_M).min(at.z + BELOW as f64 * RISE_M);
+        let (rise_m, kept, above) = (self.rise_m, self.kept, self.levels.len() - self.kept - 1);
+        let height_m = ask.height_m.max(at.z - above as f64 * rise_m).min(at.z + kept as f64 * rise_m);
         for (number, level) in self.levels.iter_mut().enumerate() {
-            level.move_to(height_m + (number as f64 - BELOW as f64) * RISE_M);
+            level.move_to(height_m + (number as f64 - kept as f64) * rise_m);
         }
         // What is asked about once is so until there is less reason for it.
         let rises = if self.known.len() > 1 { 1.0 } else { 2.0 };
-        self.known = BELOW..BELOW + 1;
-        self.look(BELOW, view, fence, at, ask);
+        self.known = kept..kept + 1;
+        self.look(kept, view, fence, at, ask);
         self.spread(goal, ask);
         let straight_m = at.distance(goal);
         let seen_m = straight_m.min(self.grid.reach_m());
-        let climbing_m = straight_m + f64::from(ask.unknown_price) * seen_m + rises * RISE_M * ask.height_price;
+        let climbing_m = straight_m + f64::from(ask.unknown_price) * seen_m + rises * rise_m * ask.height_price;
         if self.to_goal_m(at) <= climbing_m && (at.z - height_m).abs() < OFF_M {
             return;
         }
         let is_within = |level: &Level| (fence.least_m[2]..=fence.most_m[2]).contains(&level.z_m);
-        let below = self.levels[..BELOW].iter().rev().take_while(|level| is_within(level)).count();
-        let above = self.levels[BELOW + 1..].iter().take_while(|level| is_within(level)).count();
-        self.known = BELOW - below..BELOW + 1 + above;
-        for number in self.known.clone().filter(|&number| number != BELOW) {
+        let below = self.levels[..kept].iter().rev().take_while(|level| is_within(level)).count();
+        let above = self.levels[kept + 1..].iter().take_while(|level| is_within(level)).count();
+        self.known = kept - below..kept + 1 + above;
+        for number in self.known.clone().filter(|&number| number != kept) {
             self.look(number, view, fence, at, ask);
         }
         self.spread(goal, ask);
@@ -123,7 +129,7 @@ impl Field {
 
     /// Asks the map about a level.
     fn look(&mut self, level: usize, view: &View, fence: &Fence, at: Point<World>, ask: Ask) {
-        let (cells, block) = (self.grid.cells(), if level == BELOW { 1 } else { COARSE });
+        let (cells, block) = (self.grid.cells(), if level == self.kept { 1 } else { COARSE });
         let Self { grid, levels, survey, price, .. } = self;
         let price = &mut price[level * cells..][..cells];
         let is_asked = survey.ask(*grid, block, levels[level].z_m, view, ask.threshold);
@@ -149,7 +155,7 @@ impl Field {
         self.queue.begin(least_m.max(0.0) as f32, (2.0 * self.grid.side() as f64 * CELL_M * dearest) as f32);
         self.begin_spreading(goal);
         let (rise_m, bottom, top) =
-            ((self.height_price * RISE_M) as f32, self.known.start * cells, self.known.end * cells);
+            ((self.height_price * self.rise_m) as f32, self.known.start * cells, self.known.end * cells);
         while let Some((index, so_far_m)) = self.queue.pop() {
             if so_far_m > self.to_goal_m[index] {
                 continue;
@@ -176,7 +182,7 @@ impl Field {
         let (grid, cells) = (self.grid, self.grid.cells());
         let from_m = |cell: usize| grid.centre(cell, goal.z).distance(goal);
         for level in self.known.clone() {
-            let back_m = self.height_price * RISE_M * level.abs_diff(BELOW) as f64;
+            let back_m = self.height_price * self.rise_m * level.abs_diff(self.kept) as f64;
             for cell in grid.rim() {
                 if self.price[level * cells + cell].is_finite() {
                     self.reach(level * cells + cell, (from_m(cell) + back_m) as f32);
@@ -239,13 +245,13 @@ impl Field {
             return self.known.start;
         }
         let off_m = |&level: &usize| (self.levels[level].z_m - z_m).abs();
-        self.known.clone().min_by(|a, b| off_m(a).total_cmp(&off_m(b))).unwrap_or(BELOW)
+        self.known.clone().min_by(|a, b| off_m(a).total_cmp(&off_m(b))).unwrap_or(self.kept)
     }
 
     /// The level by which the way from a point leads.
     fn level_of(&self, point: Point<World>) -> usize {
         if self.known.len() == 1 {
-            return BELOW;
+            return self.kept;
         }
         let [below, above] = self.levels_at(point.z);
         let mut level = match self.by_level_m(below, point).total_cmp(&self.by_level_m(above, point)) {
@@ -255,7 +261,7 @@ impl Field {
         };
         let Some(cell) = self.grid.at(point) else { return level };
         let to_goal_m = |level: usize| f64::from(self.to_goal_m[level * self.grid.cells() + cell]);
-        let rise_m = self.height_price * RISE_M - EARLY_M.min(0.4 * self.height_price * RISE_M);
+        let rise_m = self.height_price * self.rise_m - EARLY_M.min(0.4 * self.height_price * self.rise_m);
         while level + 1 < self.known.end && to_goal_m(level + 1) + rise_m < to_goal_m(level) {
             level += 1;
         }
@@ -282,7 +288,7 @@ impl Field {
             let (piece, piece_m) = (step * (1.0 / pieces), length_m / pieces);
             let mut place = pair[0].position;
             for _ in 0..pieces as usize {
-                place = place + piece;
+                place += piece;
                 let away = place - start;
                 if away.dot(away) > OWN_M * OWN_M {
                     cost_m += (self.price_at(place).min(CLOSED_PRICE) - 1.0) * piece_m;
@@ -309,7 +315,7 @@ impl Field {
             let next = at + downhill * CELL_M;
             let off_m = self.levels[level].z_m - at.z;
             // Straight up, where what it is to lead over stands before it.
-            if off_m < 0.5 * RISE_M || self.price_at(next).is_finite() {
+            if off_m < 0.5 * self.rise_m || self.price_at(next).is_finite() {
                 at = next;
             }
             at.z += off_m.clamp(-DESCENT * CELL_M, CLIMB * CELL_M);

@@ -9,7 +9,7 @@ const AT: Point<World> = Point::new(0.0, 0.0, 2.0);
 
 #[test]
 fn it_is_the_straight_distance_where_all_is_free() {
-    let mut field = Field::new(10.0);
+    let mut field = Field::new(10.0, 1.0);
     field.update(&home_only(200.0), &FENCE, AT, GOAL, ASK);
     for point in [AT, Point::new(5.0, 3.0, 2.0), Point::new(-4.0, -6.0, 2.0)] {
         let (found, straight) = (field.to_goal_m(point), point.distance(GOAL));
@@ -21,7 +21,7 @@ fn it_is_the_straight_distance_where_all_is_free() {
 
 #[test]
 fn unknown_space_is_dear_and_a_closed_rim_dearer() {
-    let mut field = Field::new(10.0);
+    let mut field = Field::new(10.0, 1.0);
     field.update(&home_only(3.0), &FENCE, AT, GOAL, ASK);
     let known = field.to_goal_m(AT);
     assert!(known > 40.0 + 0.2 * (10.0 - 3.0), "{known}");
@@ -32,7 +32,7 @@ fn unknown_space_is_dear_and_a_closed_rim_dearer() {
 
 #[test]
 fn the_way_leads_downhill() {
-    let mut field = Field::new(10.0);
+    let mut field = Field::new(10.0, 1.0);
     field.update(&home_only(200.0), &FENCE, AT, GOAL, ASK);
     let downhill = field.downhill(Point::new(1.0, 0.5, 2.0)).expect("a way");
     assert!(downhill.x > 0.98 && (downhill.norm() - 1.0).abs() < 1e-9, "{downhill:?}");
@@ -41,7 +41,7 @@ fn the_way_leads_downhill() {
 
 #[test]
 fn a_way_leads_to_the_goal_and_costs_what_it_crosses() {
-    let (mut field, mut way) = (Field::new(10.0), Vec::new());
+    let (mut field, mut way) = (Field::new(10.0, 1.0), Vec::new());
     let going = |way: &[Point<World>]| -> Vec<Sample> {
         way.iter().map(|&position| Sample { position, velocity: Vector::ZERO }).collect()
     };
@@ -51,7 +51,7 @@ fn a_way_leads_to_the_goal_and_costs_what_it_crosses() {
     assert!((end.x - 8.0).abs() < 0.3 && end.y.abs() < 0.3 && (end.z - 2.0).abs() < 0.1, "{end:?}");
     assert_eq!(field.beyond_length_m(&going(&way)), 0.0);
     // Known for 3 m alone, and never seen before: what lies beyond costs its price.
-    let mut field = Field::new(10.0);
+    let mut field = Field::new(10.0, 1.0);
     field.update(&home_only(3.0), &FENCE, AT, GOAL, ASK);
     let cost_m = field.beyond_length_m(&going(&way));
     assert!((cost_m - 0.3 * 5.0).abs() < 0.2, "{cost_m}");
@@ -65,7 +65,7 @@ fn a_way_leads_to_the_goal_and_costs_what_it_crosses() {
 
 #[test]
 fn hostile_points_are_far() {
-    let mut field = Field::new(10.0);
+    let mut field = Field::new(10.0, 1.0);
     field.update(&home_only(200.0), &FENCE, AT, GOAL, ASK);
     for hostile in [f64::NAN, f64::INFINITY, -1e300] {
         assert!(!field.to_goal_m(Point::new(hostile, 0.0, 2.0)).is_finite() || hostile.is_finite());
@@ -86,7 +86,7 @@ fn before_a_low_wall() -> View {
 
 #[test]
 fn a_low_wall_is_passed_over_and_behind_it_the_way_comes_down_again() {
-    let (mut field, mut way, view) = (Field::new(10.0), Vec::new(), before_a_low_wall());
+    let (mut field, mut way, view) = (Field::new(10.0, 1.0), Vec::new(), before_a_low_wall());
     // No way leads around it.
     let fence = Fence { least_m: [-20.0, -2.5, 0.5], most_m: [50.0, 2.5, 6.0] };
     field.update(&view, &fence, AT, GOAL, ASK);
@@ -108,10 +108,26 @@ fn a_low_wall_is_passed_over_and_behind_it_the_way_comes_down_again() {
 }
 
 #[test]
+fn a_low_passage_is_found_by_levels_that_lie_closer_than_it_is_high() {
+    // A slab across the way from 4 to 6 m, open from 1.2 to 1.8 m of height.
+    let view = before(|_, row| {
+        let z_m = 2.0 + 4.0 * (RIG.cy_px - row as f64) / RIG.focal_px;
+        if (1.2..1.8).contains(&z_m) { [40.0, 40.0] } else { [4.0, 6.0] }
+    });
+    let fence = Fence { least_m: [-20.0, -2.5, 0.5], most_m: [50.0, 2.5, 3.5] };
+    let (mut coarse, mut fine) = (Field::new(10.0, 1.0), Field::new(10.0, 0.3));
+    coarse.update(&view, &fence, AT, GOAL, ASK);
+    fine.update(&view, &fence, AT, GOAL, ASK);
+    assert!((40.0..42.0).contains(&fine.to_goal_m(AT)), "{}", fine.to_goal_m(AT));
+    assert!((1.2..1.8).contains(&fine.height_m(AT)), "{}", fine.height_m(AT));
+    assert!(coarse.to_goal_m(AT) > fine.to_goal_m(AT) + 5.0, "{}", coarse.to_goal_m(AT));
+}
+
+#[test]
 fn it_costs_no_more_far_from_the_goal_and_whatever_the_prices() {
     let view = before_a_low_wall();
-    let mut field = Field::new(10.0);
-    let most = PUSHES * LEVELS * field.grid.cells();
+    let mut field = Field::new(10.0, 1.0);
+    let most = PUSHES * field.levels.len() * field.grid.cells();
     for ask in [ASK, Ask { unknown_price: 100.0, clearance_price: 100.0, height_price: 100.0, ..ASK }] {
         for away_m in [5.0, 50.0, 1e3, 1e5] {
             field.update(&view, &FENCE, Point::new(0.0, 0.0, 2.5), Point::new(away_m, away_m, 2.0), ask);
@@ -122,7 +138,7 @@ fn it_costs_no_more_far_from_the_goal_and_whatever_the_prices() {
 
 #[test]
 fn its_levels_hold_the_vehicle_wherever_it_is() {
-    let (mut field, view) = (Field::new(10.0), before_a_low_wall());
+    let (mut field, view) = (Field::new(10.0, 1.0), before_a_low_wall());
     let fence = Fence { least_m: [-20.0, -2.5, 0.5], most_m: [50.0, 2.5, 9.0] };
     for (z_m, height_m) in [(2.0, 5.5), (7.0, 2.0)] {
         let at = Point::new(0.0, 0.0, z_m);
@@ -136,7 +152,7 @@ fn its_levels_hold_the_vehicle_wherever_it_is() {
 
 #[test]
 fn a_cell_is_asked_at_the_same_places_wherever_the_vehicle_is() {
-    let (mut field, view) = (Field::new(10.0), before_a_low_wall());
+    let (mut field, view) = (Field::new(10.0, 1.0), before_a_low_wall());
     let mut prices = Vec::new();
     for step in 0..6 {
         let at = Point::new(0.21 * f64::from(step), 0.0, 2.5);

@@ -41,6 +41,7 @@ pub(crate) fn config() -> Config {
         back_out_m: 3.0,
         attempts: 4,
         field_reach_m: 10.0,
+        field_rise_m: 1.0,
         threads: 1,
         route: RouteConfig { segments: 500, search: SearchConfig { batch: 60, places: 600, neighbours: 24 } },
     }

@@ -116,6 +116,8 @@ pub struct Config {
     pub attempts: u32,
     /// How far the grid of the cost-to-go reaches to every side, m.
     pub field_reach_m: f64,
+    /// How far its levels lie above each other, m: a way that is open over less height than this may lie between two.
+    pub field_rise_m: f64,
     /// Threads that price candidates, 1..64; plans do not depend on it.
     pub threads: u32,
     /// The search for a way to the goal.
@@ -170,6 +172,7 @@ impl Config {
         bounds.range("back_out_m", self.back_out_m, 0.5..=50.0);
         bounds.range("attempts", self.attempts, 0..=100);
         bounds.range("field_reach_m", self.field_reach_m, 2.0..=30.0);
+        bounds.range("field_rise_m", self.field_rise_m, 0.3..=2.0);
         bounds.range("threads", self.threads, 1..=64);
         bounds.section("route", |bounds| {
             bounds.range("segments", self.route.segments, 0..=100_000);
