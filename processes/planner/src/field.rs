@@ -17,9 +17,10 @@ use std::cmp::Ordering;
 use std::f64::consts::SQRT_2;
 use std::ops::Range;
 
-/// How far they reach below the one at the height to keep, m, and above it.
-const BELOW_M: f64 = 1.0;
-const ABOVE_M: f64 = 2.0;
+/// Grids at most, and how many of them below the one at the height to keep and above it.
+const LEVELS: usize = 4;
+const BELOW: usize = 1;
+const ABOVE: usize = LEVELS - BELOW - 1;
 /// A vehicle farther from the height to keep asks all grids, m.
 const OFF_M: f64 = 0.4;
 /// Those others are asked about once for so many cells along either side: 0.8 m, less than a margin is wide.
@@ -45,9 +46,7 @@ pub(crate) struct Field {
     grid: Grid,
     /// Distance of the levels from each other, m.
     rise_m: f64,
-    /// From the lowest on; the one at the height to keep is this one.
-    levels: Vec<Level>,
-    kept: usize,
+    levels: [Level; LEVELS],
     survey: Survey,
     /// Those that are up to date, from the lowest on: the one at the height to keep, at least.
     known: Range<usize>,
@@ -79,16 +78,13 @@ impl Field {
     /// Grids that reach so far to every side of the vehicle, so far above each other, m.
     pub(crate) fn new(reach_m: f64, rise_m: f64) -> Self {
         let grid = Grid::new((reach_m / CELL_M).round().clamp(1.0, REMEMBERED as f64 / 2.0 - 2.0) as i64);
-        let [below, above] = [BELOW_M, ABOVE_M].map(|reach_m| (reach_m / rise_m).round().max(1.0) as usize);
-        let levels = below + 1 + above;
-        let cells = levels * grid.cells();
+        let cells = LEVELS * grid.cells();
         Self {
             grid,
             rise_m,
-            levels: (0..levels).map(|_| Level::new()).collect(),
-            kept: below,
+            levels: [0; LEVELS].map(|_| Level::new()),
             survey: Survey::new(grid.cells()),
-            known: below..below + 1,
+            known: BELOW..BELOW + 1,
             height_price: 0.0,
             price: vec![1.0; cells],
             to_goal_m: vec![f32::INFINITY; cells],
@@ -101,15 +97,15 @@ impl Field {
         self.grid.move_to(at);
         self.height_price = ask.height_price;
         // The vehicle's own height lies between the lowest and the highest level.
-        let (rise_m, kept, above) = (self.rise_m, self.kept, self.levels.len() - self.kept - 1);
-        let height_m = ask.height_m.max(at.z - above as f64 * rise_m).min(at.z + kept as f64 * rise_m);
+        let rise_m = self.rise_m;
+        let height_m = ask.height_m.max(at.z - ABOVE as f64 * rise_m).min(at.z + BELOW as f64 * rise_m);
         for (number, level) in self.levels.iter_mut().enumerate() {
-            level.move_to(height_m + (number as f64 - kept as f64) * rise_m);
+            level.move_to(height_m + (number as f64 - BELOW as f64) * rise_m);
         }
         // What is asked about once is so until there is less reason for it.
         let rises = if self.known.len() > 1 { 1.0 } else { 2.0 };
-        self.known = kept..kept + 1;
-        self.look(kept, view, fence, at, ask);
+        self.known = BELOW..BELOW + 1;
+        self.look(BELOW, view, fence, at, ask);
         self.spread(goal, ask);
         let straight_m = at.distance(goal);
         let seen_m = straight_m.min(self.grid.reach_m());
@@ -118,10 +114,10 @@ impl Field {
             return;
         }
         let is_within = |level: &Level| (fence.least_m[2]..=fence.most_m[2]).contains(&level.z_m);
-        let below = self.levels[..kept].iter().rev().take_while(|level| is_within(level)).count();
-        let above = self.levels[kept + 1..].iter().take_while(|level| is_within(level)).count();
-        self.known = kept - below..kept + 1 + above;
-        for number in self.known.clone().filter(|&number| number != kept) {
+        let below = self.levels[..BELOW].iter().rev().take_while(|level| is_within(level)).count();
+        let above = self.levels[BELOW + 1..].iter().take_while(|level| is_within(level)).count();
+        self.known = BELOW - below..BELOW + 1 + above;
+        for number in self.known.clone().filter(|&number| number != BELOW) {
             self.look(number, view, fence, at, ask);
         }
         self.spread(goal, ask);
@@ -129,7 +125,7 @@ impl Field {
 
     /// Asks the map about a level.
     fn look(&mut self, level: usize, view: &View, fence: &Fence, at: Point<World>, ask: Ask) {
-        let (cells, block) = (self.grid.cells(), if level == self.kept { 1 } else { COARSE });
+        let (cells, block) = (self.grid.cells(), if level == BELOW { 1 } else { COARSE });
         let Self { grid, levels, survey, price, .. } = self;
         let price = &mut price[level * cells..][..cells];
         let is_asked = survey.ask(*grid, block, levels[level].z_m, view, ask.threshold);
@@ -182,7 +178,7 @@ impl Field {
         let (grid, cells) = (self.grid, self.grid.cells());
         let from_m = |cell: usize| grid.centre(cell, goal.z).distance(goal);
         for level in self.known.clone() {
-            let back_m = self.height_price * self.rise_m * level.abs_diff(self.kept) as f64;
+            let back_m = self.height_price * self.rise_m * level.abs_diff(BELOW) as f64;
             for cell in grid.rim() {
                 if self.price[level * cells + cell].is_finite() {
                     self.reach(level * cells + cell, (from_m(cell) + back_m) as f32);
@@ -245,13 +241,13 @@ impl Field {
             return self.known.start;
         }
         let off_m = |&level: &usize| (self.levels[level].z_m - z_m).abs();
-        self.known.clone().min_by(|a, b| off_m(a).total_cmp(&off_m(b))).unwrap_or(self.kept)
+        self.known.clone().min_by(|a, b| off_m(a).total_cmp(&off_m(b))).unwrap_or(BELOW)
     }
 
     /// The level by which the way from a point leads.
     fn level_of(&self, point: Point<World>) -> usize {
         if self.known.len() == 1 {
-            return self.kept;
+            return BELOW;
         }
         let [below, above] = self.levels_at(point.z);
         let mut level = match self.by_level_m(below, point).total_cmp(&self.by_level_m(above, point)) {

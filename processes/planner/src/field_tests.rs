@@ -127,7 +127,7 @@ fn a_low_passage_is_found_by_levels_that_lie_closer_than_it_is_high() {
 fn it_costs_no_more_far_from_the_goal_and_whatever_the_prices() {
     let view = before_a_low_wall();
     let mut field = Field::new(10.0, 1.0);
-    let most = PUSHES * field.levels.len() * field.grid.cells();
+    let most = PUSHES * LEVELS * field.grid.cells();
     for ask in [ASK, Ask { unknown_price: 100.0, clearance_price: 100.0, height_price: 100.0, ..ASK }] {
         for away_m in [5.0, 50.0, 1e3, 1e5] {
             field.update(&view, &FENCE, Point::new(0.0, 0.0, 2.5), Point::new(away_m, away_m, 2.0), ask);
