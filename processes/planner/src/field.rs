@@ -17,12 +17,13 @@ use std::cmp::Ordering;
 use std::f64::consts::SQRT_2;
 use std::ops::Range;
 
-/// Grids at most, and how many of them below the one at the height to keep and above it.
+/// Grids at most, and how many of them below the one at the height to keep and above it: the closer they lie, the less far over
+/// and under things they see.
 const LEVELS: usize = 4;
 const BELOW: usize = 1;
 const ABOVE: usize = LEVELS - BELOW - 1;
-/// A vehicle farther from the height to keep asks all grids, m.
-const OFF_M: f64 = 0.4;
+/// A vehicle farther from the height to keep than this share of the grids' distance asks all of them.
+const OFF: f64 = 0.4;
 /// Those others are asked about once for so many cells along either side: 0.8 m, less than a margin is wide.
 const COARSE: usize = 2;
 /// Most entries of the queue, for every cell: it is reached by its neighbours and from above and below, some of them twice.
@@ -31,6 +32,8 @@ const PUSHES: usize = 11;
 const CLOSED_PRICE: f64 = 12.0;
 /// What is no farther from a trajectory's start costs nothing, m.
 const OWN_M: f64 = 0.7;
+/// Most places at which the way to the next sample is priced: what would need more is no flight.
+const MOST_PIECES: f64 = 64.0;
 /// So often a way is smoothed: over about a metre.
 const SMOOTHINGS: usize = 8;
 /// How steeply a way rises to another grid ...
@@ -82,7 +85,7 @@ impl Field {
         Self {
             grid,
             rise_m,
-            levels: [0; LEVELS].map(|_| Level::new()),
+            levels: [0; LEVELS].map(|_| Level::new(rise_m)),
             survey: Survey::new(grid.cells()),
             known: BELOW..BELOW + 1,
             height_price: 0.0,
@@ -110,7 +113,7 @@ impl Field {
         let straight_m = at.distance(goal);
         let seen_m = straight_m.min(self.grid.reach_m());
         let climbing_m = straight_m + f64::from(ask.unknown_price) * seen_m + rises * rise_m * ask.height_price;
-        if self.to_goal_m(at) <= climbing_m && (at.z - height_m).abs() < OFF_M {
+        if self.to_goal_m(at) <= climbing_m && (at.z - height_m).abs() < OFF * rise_m {
             return;
         }
         let is_within = |level: &Level| (fence.least_m[2]..=fence.most_m[2]).contains(&level.z_m);
@@ -280,7 +283,7 @@ impl Field {
         for pair in going.windows(2) {
             let step = pair[1].position - pair[0].position;
             let length_m = step.norm();
-            let pieces = (length_m / CELL_M).ceil().max(1.0);
+            let pieces = (length_m / CELL_M).ceil().clamp(1.0, MOST_PIECES);
             let (piece, piece_m) = (step * (1.0 / pieces), length_m / pieces);
             let mut place = pair[0].position;
             for _ in 0..pieces as usize {

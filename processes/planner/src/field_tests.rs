@@ -108,7 +108,7 @@ fn a_low_wall_is_passed_over_and_behind_it_the_way_comes_down_again() {
 }
 
 #[test]
-fn a_low_passage_is_found_by_levels_that_lie_closer_than_it_is_high() {
+fn a_passage_lower_than_the_levels_lie_apart_may_lie_between_two() {
     // A slab across the way from 4 to 6 m, open from 1.2 to 1.8 m of height.
     let view = before(|_, row| {
         let z_m = 2.0 + 4.0 * (RIG.cy_px - row as f64) / RIG.focal_px;
@@ -138,9 +138,11 @@ fn it_costs_no_more_far_from_the_goal_and_whatever_the_prices() {
 
 #[test]
 fn its_levels_hold_the_vehicle_wherever_it_is() {
-    let (mut field, view) = (Field::new(10.0, 1.0), before_a_low_wall());
+    let view = before_a_low_wall();
     let fence = Fence { least_m: [-20.0, -2.5, 0.5], most_m: [50.0, 2.5, 9.0] };
-    for (z_m, height_m) in [(2.0, 5.5), (7.0, 2.0)] {
+    let asked = [0.3, 1.0, 2.0].map(|rise_m| [(rise_m, 2.0, 5.5), (rise_m, 7.0, 2.0)]);
+    for (rise_m, z_m, height_m) in asked.into_iter().flatten() {
+        let mut field = Field::new(10.0, rise_m);
         let at = Point::new(0.0, 0.0, z_m);
         field.update(&view, &fence, at, GOAL, Ask { height_m, ..ASK });
         let heights: Vec<_> = field.known.clone().map(|level| field.levels[level].z_m).collect();

@@ -24,8 +24,8 @@ const FAR_OCCUPIED: f32 = 3.0;
 /// So far, m.
 const FAR_M: f64 = 6.0;
 
-/// Nearer heights are the same, m.
-const SAME_HEIGHT_M: f64 = 0.5;
+/// Heights that are nearer than this share of the levels' distance are the same.
+const SAME_HEIGHT: f64 = 0.5;
 
 /// What a cell was when it was last known.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -107,19 +107,22 @@ impl Survey {
 pub(crate) struct Level {
     /// Height, m.
     pub(crate) z_m: f64,
-    /// About which height something is remembered, m; and what.
+    /// About which height something is remembered, m, and how far about it; and what.
     remembered_m: f64,
+    about_m: f64,
     memory: Vec<Option<Memory>>,
 }
 
 impl Level {
-    pub(crate) fn new() -> Self {
-        Self { z_m: 0.0, remembered_m: 0.0, memory: vec![None; REMEMBERED * REMEMBERED] }
+    /// One of levels that lie so far above each other, m.
+    pub(crate) fn new(rise_m: f64) -> Self {
+        let about_m = SAME_HEIGHT * rise_m;
+        Self { z_m: 0.0, remembered_m: 0.0, about_m, memory: vec![None; REMEMBERED * REMEMBERED] }
     }
 
     /// Moves it to a height. What is remembered is of about one height.
     pub(crate) fn move_to(&mut self, z_m: f64) {
-        if (z_m - self.remembered_m).abs() > SAME_HEIGHT_M {
+        if (z_m - self.remembered_m).abs() > self.about_m {
             self.memory.fill(None);
             self.remembered_m = z_m;
         }
@@ -165,7 +168,7 @@ mod tests {
 
     #[test]
     fn far_walls_are_dear_until_they_were_seen_from_near() {
-        let (mut level, cell) = (Level::new(), (30, 4));
+        let (mut level, cell) = (Level::new(1.0), (30, 4));
         let mut price = |seen, from_m| level.price_of(cell, seen, from_m, 0.3);
         assert_eq!(price(Occupancy::Occupied, FAR_M + 2.0), FAR_OCCUPIED);
         assert!(price(Occupancy::Occupied, FAR_M - 1.0).is_infinite());
@@ -176,7 +179,7 @@ mod tests {
 
     #[test]
     fn what_was_occupied_stays_dear_at_its_height() {
-        let (mut level, cell) = (Level::new(), (5, 0));
+        let (mut level, cell) = (Level::new(1.0), (5, 0));
         assert!(level.price_of(cell, Occupancy::Occupied, 4.0, 0.3).is_infinite());
         let unknown = Occupancy::Unknown(Unknown::OutOfView);
         assert_eq!(level.price_of(cell, unknown, 4.0, 0.3), ONCE_OCCUPIED);
@@ -191,5 +194,9 @@ mod tests {
         assert!(level.price_of(cell, Occupancy::Occupied, 4.0, 0.3).is_infinite());
         assert_eq!(level.price_of(cell, Occupancy::Free, 4.0, 0.3), 1.0);
         assert_eq!(level.price_of(cell, unknown, 4.0, 0.3), 1.0);
+        let mut close = Level::new(0.3);
+        assert!(close.price_of(cell, Occupancy::Occupied, 4.0, 0.3).is_infinite());
+        close.move_to(0.2);
+        assert_eq!(close.price_of(cell, unknown, 4.0, 0.3), 1.3, "nearer to the next level");
     }
 }

@@ -116,7 +116,8 @@ pub struct Config {
     pub attempts: u32,
     /// How far the grid of the cost-to-go reaches to every side, m.
     pub field_reach_m: f64,
-    /// How far its levels lie above each other, m: a way that is open over less height than this may lie between two.
+    /// How far its levels lie above each other, m: a way that is open over less height than this may lie between two. There is one
+    /// below the height to keep and two are above it, so that what lies closer reaches less far over and under things.
     pub field_rise_m: f64,
     /// Threads that price candidates, 1..64; plans do not depend on it.
     pub threads: u32,

@@ -98,7 +98,7 @@ fn limited(change: Vector<World>, velocity: Vector<World>, config: &Config) -> V
     if speed_squared <= (config.lateral_mps2 * STEP_S).powi(2) {
         return change.clamp_norm(config.acceleration_mps2 * STEP_S);
     }
-    // In squares, which need no roots: a hundred thousand steps are made for every plan.
+    // In squares, which need few roots: ten thousand steps and more are made for every plan.
     let ahead = change.dot(velocity);
     let along_squared = ahead * ahead / speed_squared;
     let across_squared = (change.dot(change) - along_squared).max(0.0);
@@ -111,9 +111,9 @@ fn limited(change: Vector<World>, velocity: Vector<World>, config: &Config) -> V
 /// The samples after `from` of a straight stop along its velocity; the last is at rest.
 pub(crate) fn brake(from: Sample, braking_mps2: f64) -> impl Iterator<Item = Sample> {
     let (speed, slower) = (from.velocity.norm(), braking_mps2 * STEP_S);
-    let change = if speed > 0.0 { from.velocity * (-slower / speed) } else { Vector::ZERO };
-    // What is left by rounding is no step of its own.
-    let steps = if speed > 0.0 { ((speed - 1e-6) / slower).ceil().max(1.0) as usize } else { 0 };
+    let change = if speed == 0.0 { Vector::ZERO } else { from.velocity * (-slower / speed) };
+    // What is left by rounding is no step of its own; what is no number makes one that is refused.
+    let steps = if speed == 0.0 { 0 } else { ((speed - 1e-6) / slower).ceil().max(1.0) as usize };
     let mut sample = from;
     (1..steps.min(MOST_SAMPLES) + 1).map(move |step| {
         sample = advance(sample, if step == steps { -sample.velocity } else { change });
@@ -193,6 +193,12 @@ mod tests {
         let end = brake(start(4.0), config.braking_mps2).last().expect("it has to brake");
         let expected = 16.0 / (2.0 * config.braking_mps2);
         assert!((end.position.x - expected).abs() < 0.1, "{end:?}, expected {expected}");
+        assert_eq!(brake(start(0.0), config.braking_mps2).count(), 0);
+        for hostile in [f64::NAN, f64::INFINITY] {
+            let stop = brake(start(hostile), config.braking_mps2).take(MOST_SAMPLES + 1).last();
+            assert!(stop.is_some_and(|stop| !stop.position.x.is_finite()), "{hostile} is no stop");
+        }
+        assert_eq!(brake(start(4.0), 0.0).count(), MOST_SAMPLES);
     }
 
     #[test]
