@@ -140,8 +140,8 @@ fn it_costs_no_more_far_from_the_goal_and_whatever_the_prices() {
 fn its_levels_hold_the_vehicle_wherever_it_is() {
     let view = before_a_low_wall();
     let fence = Fence { least_m: [-20.0, -2.5, 0.5], most_m: [50.0, 2.5, 9.0] };
-    let asked = [0.3, 1.0, 2.0].map(|rise_m| [(rise_m, 2.0, 5.5), (rise_m, 7.0, 2.0)]);
-    for (rise_m, z_m, height_m) in asked.into_iter().flatten() {
+    let asked = [(2.0, 5.5), (7.0, 2.0)];
+    for (rise_m, (z_m, height_m)) in [0.3, 1.0, 2.0].into_iter().flat_map(|rise_m| asked.map(|asked| (rise_m, asked))) {
         let mut field = Field::new(10.0, rise_m);
         let at = Point::new(0.0, 0.0, z_m);
         field.update(&view, &fence, at, GOAL, Ask { height_m, ..ASK });

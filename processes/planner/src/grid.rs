@@ -55,7 +55,8 @@ impl Grid {
         Point::new((x as f64 + 0.5) * CELL_M, (y as f64 + 0.5) * CELL_M, z_m)
     }
 
-    /// The cell that a point lies in, if it is one within the border.
+    /// The cell that a point lies in, if it is one within the border: [`cell_of`] and [`Self::beside`] in one, without rounding
+    /// down first, for the prices of some fifty places of every candidate.
     pub(crate) fn at(self, point: Point<World>) -> Option<usize> {
         let [column, row] = [(point.x, self.first.0), (point.y, self.first.1)]
             .map(|(value, first)| value * (1.0 / CELL_M) - first as f64);
@@ -104,4 +105,25 @@ pub(crate) fn cell_of(point: Point<World>) -> Cell {
         towards_zero - i64::from((towards_zero as f64) > cells)
     };
     (cell(point.x), cell(point.y))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_point_lies_in_the_cell_that_is_asked_for_either_way() {
+        let mut grid = Grid::new(5);
+        grid.move_to(Point::new(-7.3, 12.1, 0.0));
+        let mut within = 0;
+        for (east, north) in (0..60).flat_map(|east| (0..60).map(move |north| (east, north))) {
+            let point = Point::new(-10.33 + 0.1 * f64::from(east), 9.07 + 0.1 * f64::from(north), 1.0);
+            assert_eq!(grid.at(point), grid.beside(cell_of(point), 0, 0), "{point:?}");
+            within += usize::from(grid.at(point).is_some());
+        }
+        assert!((1500..2500).contains(&within), "{within}");
+        for hostile in [f64::NAN, f64::INFINITY, -1e300] {
+            assert_eq!(grid.at(Point::new(hostile, 12.1, 0.0)), None);
+        }
+    }
 }
